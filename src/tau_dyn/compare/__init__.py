@@ -1,4 +1,4 @@
-"""Two models, results or runs beside each other: what changed, and whether by more than their uncertainty."""
+"""Comparison of two models, results or runs: their changes, and whether these exceed the uncertainty."""
 
 from lazy_loader import attach_stub
 

@@ -1,11 +1,11 @@
-"""What changed between two results: each quantity's difference against the uncertainty of both.
+"""Changes between two results: each quantity's difference compared with the uncertainty of both.
 
     z = (b - a) / sqrt(stderr_a^2 + stderr_b^2)
 
-is standard normal where nothing changed and the data behind both are independent. Of the many quantities compared those have
-changed whose p-values stand Holm's test at 5 %, so that two results of one robot name a change once in twenty comparisons
+is standard normal if the quantity did not change and the data of both are independent. Quantities have changed if their p-values
+are significant in Holm's test at 5 %, so that two results of one unchanged robot report a change once in twenty comparisons
 (Holm 1979; it needs no independence between quantities). Resonances are numbered by frequency in each result and are matched to
-the nearest. Combinations of parameters are matched by their coefficients (`quantity.py`).
+the nearest. Combinations of parameters are matched by their coefficients (`read.py`).
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ class Change:
     """One quantity in both results.
 
     Attributes:
-        name: Its name; of a combination of parameters, its expression.
+        name: Its name; for a combination of parameters, its expression.
         unit: Its unit.
         a: Value in the first [unit].
         b: Value in the second [unit].
-        stderr: Standard error of the difference; None where either has none, or no data stand behind either.
-        p_value: Chance of such a difference where nothing changed; None without standard error.
-        changed: Whether it stands Holm's test; None without standard error.
-        determined_by: Which results' data determine it; `neither` where both only hold nominal, given or prior values.
+        stderr: Standard error of the difference; None if one of them has no standard error, or no data determine either.
+        p_value: Probability of such a difference without a change; None without standard error.
+        changed: Whether it is significant in Holm's test; None without standard error.
+        determined_by: Which results' data determine it; `neither` if both only hold nominal, given or prior values.
         combination: Whether it is a combination of parameters.
     """
 
@@ -54,7 +54,7 @@ class Change:
 
     @property
     def difference(self) -> float:
-        """Second less first [unit]."""
+        """Second minus first [unit]."""
         return self.b - self.a
 
     @property
@@ -72,14 +72,14 @@ class Change:
 
 @dataclass(frozen=True)
 class FindingChange:
-    """A cause's status in both results, None where it was not found.
+    """A cause's status in both results, None if it was not found.
 
     Attributes:
-        cause: Its name; of a check of a log, the topic.
+        cause: Its name; for a check of a log, the topic.
         joints: Joints it acts on.
         a: Status in the first.
         b: Status in the second.
-        gain_a: What it is worth on unseen data in the first [%], with its 95 % interval; None where that is not known.
+        gain_a: Its gain on held-out data in the first [%], with its 95 % interval; None if unknown.
         gain_b: The same in the second.
     """
 
@@ -103,7 +103,7 @@ class FindingChange:
 
 
 class ErrorChange(NamedTuple):
-    """An error in both results, with its 95 % interval where the result has one."""
+    """An error in both results, with its 95 % interval if the result has one."""
 
     name: str
     unit: str
@@ -115,7 +115,7 @@ class ErrorChange(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Comparison(Shown):
-    """Two results beside each other.
+    """Comparison of two results.
 
     Attributes:
         a: The first.
@@ -125,12 +125,12 @@ class Comparison(Shown):
         only_b: The same of the second.
         errors: Errors that both have.
         findings: Causes found in either.
-        warnings: Sentences about what the comparison cannot say.
-        inputs: Files that went in, same or not.
-        configuration: Options that differ; of run folders only.
-        versions: Versions that differ; of run folders only.
+        warnings: Sentences about the limits of the comparison.
+        inputs: Input files, same or not.
+        configuration: Options that differ; for run folders only.
+        versions: Versions that differ; for run folders only.
         numbers: Plain numbers that differ, without uncertainty.
-        lacking: Sides that hold no combinations of parameters, so that a change in one stays unseen.
+        lacking: Sides that hold no combinations of parameters, so that a change in one is not detected.
     """
 
     a: ComparedSide
@@ -160,7 +160,7 @@ class Comparison(Shown):
 
     @property
     def neither(self) -> tuple[Change, ...]:
-        """Quantities that both hold and neither's data determine; that they are alike says nothing of the robot."""
+        """Quantities that both hold and neither's data determine; their agreement carries no information about the robot."""
         return tuple(c for c in self.changes if c.determined_by == "neither")
 
     def to_dict(self) -> dict[str, Any]:
@@ -183,7 +183,7 @@ def _gain(gain: tuple[float, float, float] | None) -> dict[str, Any] | None:
 
 
 SIGNIFICANCE_LEVEL = 0.05
-"""Chance that any change is named where nothing changed."""
+"""Probability that any change is reported without a change (family-wise level)."""
 _MAX_RELATIVE_FREQUENCY_DIFFERENCE = 0.2
 """Relative distance within which two resonances are taken for the same one."""
 
@@ -192,7 +192,7 @@ def compare(a: ComparedSide, b: ComparedSide) -> Comparison:
     """Compare two models, results or run folders.
 
     Raises:
-        InputError: They have nothing in common; two run folders always have their circumstances.
+        InputError: They have no quantity in common; two run folders always have their circumstances.
     """
     other = _matched(a.quantities, b.quantities)
     shared = [n for n in a.quantities if n in other]
@@ -268,7 +268,7 @@ def _joint(a: ComparedSide, b: ComparedSide, known: list[str]) -> tuple[list[Cha
 def _list_lacking(
     a: ComparedSide, b: ComparedSide, changes: list[Change], alone: list[str]
 ) -> tuple[ComparedSide, ...]:
-    """Return the sides without combinations of parameters, where the other values may change only in some."""
+    """Return the sides without combinations of parameters, if a change may show only in a combination."""
     given = {*a.combinations.fixed, *b.combinations.fixed}  # no member of any combination
     open_ = alone or any(c.determined_by == "neither" and c.name not in given for c in changes)
     if not open_ or not {a.kind, b.kind} <= {"model", "identify"}:
@@ -279,7 +279,7 @@ def _list_lacking(
 def _unmatched(
     a: ComparedSide, b: ComparedSide, changes: list[Change], alone: list[str], lacking: tuple[ComparedSide, ...]
 ) -> Iterator[str]:
-    """Yield which combinations of parameters were not compared, and why."""
+    """Yield the combinations of parameters that were not compared, and the reason."""
     if alone and a.combinations.rows and b.combinations.rows:
         yield (
             f"{a.place} and {b.place} determine different combinations of parameters; not compared, as only one of them "
@@ -307,7 +307,7 @@ def _change(name: str, a: MeasuredQuantity, b: MeasuredQuantity, *, combination:
 
 
 def _holm(changes: list[Change]) -> list[Change]:
-    """Mark the changes that stand Holm's step-down test."""
+    """Mark the changes that are significant in Holm's step-down test."""
     tested = sorted((c.p_value, k) for k, c in enumerate(changes) if c.p_value is not None)
     marked = list(changes)
     for rank, (p, k) in enumerate(tested):
@@ -318,7 +318,7 @@ def _holm(changes: list[Change]) -> list[Change]:
 
 
 def _matched(a: Mapping[str, MeasuredQuantity], b: Mapping[str, MeasuredQuantity]) -> dict[str, MeasuredQuantity]:
-    """Return the second's quantities with its resonances under the number of the first's nearest."""
+    """Return the second's quantities, with its resonances numbered as the nearest of the first."""
     mine, theirs = _frequencies(a), _frequencies(b)
     pairs = sorted(
         (abs(f - g) / f, i, j)

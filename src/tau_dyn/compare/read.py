@@ -1,15 +1,14 @@
 """A model file (YAML), a command's result (JSON) or a run folder as quantities with standard errors, errors, and findings.
 
-Results are read by what they hold, not by which command wrote them: `parameters` and `base_parameters` of identify, `findings` of
-diagnose and check, `modes` of modes, `models` of calibrate, plain numbers of all. Values that no data determined have no standard
-error.
-
-What a result knows of a value: its standard error, whether data or a prior stand behind it, alone or in a combination.
+Results are read by their content, not by the command that wrote them: `parameters` and `base_parameters` of identify, `findings`
+of diagnose and check, `modes` of modes, `models` of calibrate, plain numbers of all. Values that no data determined have no
+standard error. A value has a standard error, a flag whether data or only a prior determine it, and is a single parameter or a
+combination.
 
 A combination `w' theta` is determined by a result whose base parameters are `beta = E theta` if and only if `w = E' c`; then it
-is `c' beta`. Each base parameter leads with a parameter that no other holds, so `c` is `w` at these. Thus two results are
-compared whatever base each has chosen: `a + b` of one is the same as `b + a`, twice `b/2 + a/2`, or the sum of `a` and
-`b` where the other determines both.
+is `c' beta`. The leading parameter of each base parameter is in no other one, so `c` is `w` at these. Thus two results are
+compared for any choice of base: `a + b` of one is the same as `b + a`, twice `b/2 + a/2`, or the sum of `a` and `b` if the other
+determines both.
 """
 
 from __future__ import annotations
@@ -31,13 +30,13 @@ from tau_dyn.files import read_bytes
 from tau_dyn.model import Model
 
 _LEFT = 0.01
-"""Relative distance of a standard error from its prior's below which the data added nothing (2 % of the information)."""
+"""Relative distance of a standard error from its prior's below which the data added less than 2 % of the information."""
 _STAYED = 0.2
-"""Distance from the nominal value, in standard errors, within which a value that data added nothing to has stayed."""
+"""Distance from the nominal value, in standard errors, within which a value without information from data counts as unchanged."""
 
 
 class MeasuredQuantity(NamedTuple):
-    """A value, its standard error (None where no data determined it), and its unit.
+    """A value, its standard error (None if no data determined it), and its unit.
 
     `at_prior`: the standard error is that of the prior the value started from, so no data determined it either.
     """
@@ -49,26 +48,26 @@ class MeasuredQuantity(NamedTuple):
 
     @property
     def determined(self) -> bool:
-        """Whether data stand behind the value."""
+        """Whether data determine the value."""
         return self.stderr is not None and not self.at_prior
 
 
 def build_measured_quantity(
     value: Any, stderr: Any, unit: Any, *, prior: Any = None, nominal: Any = None
 ) -> MeasuredQuantity:
-    """Return a value that was read; a standard error that is none, such as zero, is taken as not known.
+    """Return a value that was read; an invalid standard error, such as zero, is taken as unknown.
 
     Args:
         value: The value [unit].
         stderr: Its standard error [unit], or None.
         unit: Its unit.
-        prior: Standard error of what was known beforehand [unit], or None.
-        nominal: What was known beforehand [unit]; None where that is not told, then `prior` alone counts.
+        prior: Standard error of the prior value [unit], or None.
+        nominal: Prior value [unit]; None if it is not given, then `prior` alone counts.
 
     Raises:
-        TypeError: One of them is no number.
-        ValueError: A text is no number.
-        OverflowError: An integer too large for a float.
+        TypeError: One of them is not a number.
+        ValueError: A text is not a number.
+        OverflowError: An integer is too large for a float.
     """
     known = None if stderr is None or not isfinite(float(stderr)) or float(stderr) <= 0 else float(stderr)
     held = known is not None and prior is not None and abs(known - float(prior)) <= _LEFT * float(prior)
@@ -86,7 +85,7 @@ class BaseParameterCombination:
     """One base parameter.
 
     Attributes:
-        expression: In words, such as `z3_link.mass + r4_link.mass`.
+        expression: The sum in words, such as `z3_link.mass + r4_link.mass`.
         weights: Coefficient of each parameter, by name.
         quantity: Its value and standard error.
     """
@@ -97,17 +96,17 @@ class BaseParameterCombination:
 
     @property
     def alone(self) -> bool:
-        """Whether it is a single parameter, which stands among the parameters already."""
+        """Whether it is a single parameter, which is among the parameters already."""
         return len(self.weights) == 1
 
 
 @dataclass(frozen=True, eq=False)
 class Combinations:
-    """The base parameters of a result; empty where it holds none, as model files do.
+    """The base parameters of a result; empty for results without any, such as model files.
 
     Attributes:
-        rows: The r base parameters by the parameter that leads each.
-        correlation: Of their estimates (r, r), in the order of `rows`; None where the result has none.
+        rows: The r base parameters by the leading parameter of each.
+        correlation: Correlation of their estimates (r, r), in the order of `rows`; None if the result has no correlation.
         fixed: Values of the parameters that were given, by name.
     """
 
@@ -121,13 +120,13 @@ class Combinations:
         return tuple(row for row in self.rows.values() if not row.alone)
 
     def parts(self, weights: Mapping[str, float]) -> list[BaseParameterCombination]:
-        """Return the base parameters that a combination would be made of."""
+        """Return the base parameters that a combination would consist of."""
         return [self.rows[name] for name in weights if name in self.rows]
 
     def quantity_of(self, wanted: BaseParameterCombination) -> MeasuredQuantity | None:
-        """Return another result's combination as these data determine it; None where they do not.
+        """Return another result's combination as these data determine it; None if they do not.
 
-        The standard error of a sum of several base parameters follows from theirs and their correlation.
+        The standard error of a sum of several base parameters follows from their standard errors and correlation.
         """
         rest, size, value = dict(wanted.weights), {n: abs(x) for n, x in wanted.weights.items()}, 0.0
         factors = [wanted.weights[name] for name in wanted.weights if name in self.rows]
@@ -185,7 +184,7 @@ def read_combinations(content: Mapping[str, Any]) -> Combinations:
 
 
 def _row(entry: Mapping[str, Any], names: set[str]) -> tuple[str, BaseParameterCombination]:
-    """Return a base parameter under the name that leads it; what cannot be taken apart is its own name."""
+    """Return a base parameter under its leading name; an expression that cannot be parsed is its own name."""
     lead, text = str(entry["name"]), str(entry.get("expression", entry["name"]))
     weights = read_expression(text)
     if not names.issuperset(weights) or weights.get(lead) != 1.0:
@@ -196,35 +195,35 @@ def _row(entry: Mapping[str, Any], names: set[str]) -> tuple[str, BaseParameterC
 
 
 def pick_dicts(items: Any) -> list[dict[str, Any]]:
-    """Return the mappings of a list; none of anything else."""
+    """Return the mappings of a list; an empty list for other objects."""
     return [x for x in items if isinstance(x, dict)] if isinstance(items, list) else []
 
 
 _NO_DATA = (".urdf", ".xacro", ".yaml", ".yml", ".json")  # robots, maps, models; recordings come in many kinds of files
 _PARTS = ("train", "holdout", "baseline", "extended", "noise_floor")
 _RMS = "unseen position error, rms"
-_NO_ANSWER = ("seed", "search_s", "evaluations")  # what a run was asked, and how long it took
+_NO_ANSWER = ("seed", "search_s", "evaluations")  # options and duration of a run
 _MAX_FILE_BYTES = 64 * 2**20  # [bytes] a result is a few hundred kB
 
 
 @dataclass(frozen=True, eq=False)
 class ComparedSide:
-    """One of the two things compared.
+    """One of the two compared models, results or runs.
 
     Attributes:
         path: Its file.
         sha256: The file's hash.
         kind: `model`, or the command whose result it is.
         quantities: Parameters, resonances, dimensions by name.
-        errors: Relative errors or fits in percent, or distances, by what they are called, with their unit.
+        errors: Relative errors or fits in percent, or distances, by name, with their unit.
         findings: Status by cause and joints.
         logs: Hashes of the data behind it.
-        inputs: Hash of each file that went in, by its path.
-        intervals: 95 % intervals of errors, by what they are called.
-        gains: What a finding is worth on unseen data [%] and its 95 % interval, by cause and joints.
+        inputs: Hash of each input file, by its path.
+        intervals: 95 % intervals of errors, by name.
+        gains: Gain of a finding on held-out data [%] and its 95 % interval, by cause and joints.
         numbers: Plain numbers of the result, by name.
-        run: The run, where a run folder was read.
-        missing: What the data lacked, where they could not answer.
+        run: The run, if a run folder was read.
+        missing: Information that the data lacked, if they could not answer.
         combinations: The combinations of parameters that the data determine.
     """
 
@@ -253,7 +252,7 @@ def read_side(path: str | Path) -> ComparedSide:
     """Read a model file, a result or a run folder.
 
     Raises:
-        InputError: It is missing, none of these, or holds an entry of the wrong kind.
+        InputError: It is missing, has another format, or holds an entry of the wrong kind.
     """
     path = Path(path)
     if not path.is_dir():
@@ -326,7 +325,7 @@ def _of_result(path: Path, digest: str, data: bytes, run: RecordedRun | None) ->
 
 
 def _findings(content: Mapping[str, Any]) -> Iterator[tuple[tuple[str, tuple[str, ...]], str]]:
-    """Yield causes with their status; of a check of a log, topics with their severity, the worst last."""
+    """Yield causes with their status; for a check of a log, topics with their severity, the worst last."""
     for row in pick_dicts(content.get("findings")):
         if "cause" in row:
             yield _key(row), str(row["status"])

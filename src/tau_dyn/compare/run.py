@@ -1,6 +1,6 @@
-"""A run folder: what a command was asked, what went in, with which versions, what it left; and how two runs differ in that.
+"""A run folder: a command's options, inputs, versions and output files; and the differences of two runs in these.
 
-`run.json` stands beside `result.json`, `report.html` and the command's own file; a folder is a run once it holds it. The
+`run.json` is next to `result.json`, `report.html` and the command's own file; a folder with `run.json` is a run. The
 command line writes it (`cli/run_folder.py`), `compare` reads it.
 """
 
@@ -27,15 +27,15 @@ class RecordedRun:
 
     Attributes:
         command: `identify`, `diagnose`, ...
-        command_line: How it was called.
+        command_line: The command line.
         configuration: Every option by name, defaults included; outputs left out.
-        inputs: SHA-256 of each file that went in, by its path.
-        versions: Of tau_dyn, Python and the libraries, and the platform.
-        seed: Of everything random.
+        inputs: SHA-256 of each input file, by its path.
+        versions: Versions of tau_dyn, Python and the libraries, and the platform.
+        seed: Seed of all random numbers.
         started: Date and time, ISO 8601 with the zone.
         duration_s: Wall-clock time [s].
-        exit_status: 0, or 3 where the data could not answer.
-        files: SHA-256 of each file that the run left, by its name in the folder.
+        exit_status: 0, or 3 if the data could not answer.
+        files: SHA-256 of each file that the run wrote, by its name in the folder.
     """
 
     command: str
@@ -50,13 +50,13 @@ class RecordedRun:
     files: Mapping[str, str]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what run.json holds."""
+        """Return the content of run.json."""
         inputs = [{"path": path, "sha256": sha256} for path, sha256 in self.inputs.items()]
         return {"run_format": FORMAT} | to_plain(self) | {"inputs": inputs}
 
 
 def is_run(folder: Path) -> bool:
-    """Tell whether a folder is a run folder."""
+    """Return whether a folder is a run folder."""
     return (folder / RUN).is_file()
 
 
@@ -64,7 +64,7 @@ def read_run(folder: Path) -> RecordedRun:
     """Read a run folder's run.json.
 
     Raises:
-        InputError: There is none, or it is not one of ours.
+        InputError: The file is missing, or is not a run of tau_dyn.
     """
     path = folder / RUN
     try:
@@ -102,11 +102,11 @@ def _text(value: Any) -> str:
 
 @dataclass(frozen=True)
 class InputChange:
-    """A file that went in.
+    """An input file of one or both runs.
 
     Attributes:
-        a: Its path in the first run, None where only the second read it.
-        b: Its path in the second.
+        a: Its path in the first run, None if only the second read it.
+        b: Its path in the second run, None if only the first read it.
         same: Whether the content is the same, by its hash.
     """
 
@@ -130,7 +130,7 @@ class InputChange:
 
 @dataclass(frozen=True)
 class CircumstanceDifference:
-    """An option, version or number that differs; None where one side lacks it."""
+    """An option, version or number that differs; None if one side lacks it."""
 
     name: str
     a: Any
@@ -138,17 +138,17 @@ class CircumstanceDifference:
 
 
 def list_differences(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[CircumstanceDifference, ...]:
-    """Return what differs between two mappings, in the first's order."""
+    """Return the differences between two mappings, in the first's order."""
     names = dict.fromkeys([*a, *b])
     return tuple(CircumstanceDifference(n, a.get(n), b.get(n)) for n in names if a.get(n) != b.get(n))
 
 
 def list_input_changes(a: Mapping[str, str], b: Mapping[str, str]) -> tuple[InputChange, ...]:
-    """Match the files of two runs: by path, else by content, else by name; what is left only one of them read.
+    """Match the files of two runs: by path, else by content, else by name; only one run read the remaining files.
 
     Args:
         a: Hashes by path of the first run.
-        b: Of the second.
+        b: Hashes by path of the second run.
     """
     left, right = dict(a), dict(b)
     both = tuple(_matched(left, right))
@@ -156,7 +156,7 @@ def list_input_changes(a: Mapping[str, str], b: Mapping[str, str]) -> tuple[Inpu
 
 
 def _matched(left: dict[str, str], right: dict[str, str]) -> Iterator[InputChange]:
-    """Take pairs out of both mappings, the surest first."""
+    """Remove matching pairs from both mappings, the surest first."""
     alike = (
         lambda p, q: p == q,
         lambda p, q: left[p] == right[q],

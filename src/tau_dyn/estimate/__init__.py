@@ -1,4 +1,4 @@
-"""The engines that torque, pose and vibration share: linear regressions, noise, base parameters, physics."""
+"""Estimation shared by torque, pose and vibration: linear regressions, noise, base parameters, physical consistency."""
 
 from lazy_loader import attach_stub
 

@@ -2,19 +2,20 @@ r"""Coloured noise as an autoregressive process, fitted to a residual that comes
 
     e_t = sum_k phi_k e_{t-k} + u_t
 
-by least squares on each sample and its own past (of early samples of a stretch, as much of it as there is), the order by Akaike's
-criterion. Rows are kept as triangular factors, so that any number of samples will do. Reference: Ljung 1999, 10.1 and 16.4.
+by least squares on each sample and its own past (for early samples of a stretch, the available past), the order by Akaike's
+criterion. Rows are kept as triangular factors, so that the number of samples is not limited. Reference: Ljung 1999, 10.1 and
+16.4.
 
-The noise of an equation of motion whose accelerations come from noisy positions, and its exact whitening.
+`PositionNoise` is the noise of an equation of motion with accelerations from noisy positions, and its exact whitening.
 
 With force noise `e` and position noise `n`, the equation `tau = M(q) a + h` at the log's own rate errs by
 
     r = e - D n,   D = M(q_k) S,   S the second difference over five samples (-1, 16, -30, 16, -1) / (12 dt^2),
     Sigma = sigma_f^2 I + D sigma_q^2 D',
 
-a banded matrix, so that its Cholesky factor costs as much as a filter. `Sigma^-1` weighs each frequency by
-`1 / (sigma_f^2 + sigma_q^2 M^2 w^4)`: forces count below the frequency at which encoder noise outweighs them, and nothing has to
-be low-passed. Equations left out are rows without neighbours, so nothing leaks out of them.
+a banded matrix, so that its Cholesky factor takes the time of a filter. `Sigma^-1` weighs each frequency by
+`1 / (sigma_f^2 + sigma_q^2 M^2 w^4)`: forces count below the frequency at which encoder noise outweighs them, and no signal has
+to be low-passed. Equations left out are rows without neighbours, so they do not affect other rows.
 
 The information about parameters with columns Y is `Y' Sigma^-1 Y`; true positions are nuisance parameters, and eliminating
 them (Woodbury) gives exactly this matrix. Reference: Soderstrom 2018, Errors-in-Variables Methods in System Identification.
@@ -45,11 +46,11 @@ class Autoregression:
 
     def response_power(self) -> float:
         """Return the sum of squares of its impulse response."""
-        state = -self.denominator[1:]  # after an impulse, which comes out as 1
+        state = -self.denominator[1:]  # after an impulse, whose first output is 1
         return float(1.0 + state @ self.fading_gramian() @ state)
 
     def fading_gramian(self) -> np.ndarray:
-        """Return `P` (p, p): `z' P z` is the sum of squares that `1 / denominator` still gives from its state z (p,).
+        """Return `P` (p, p): `z' P z` is the remaining sum of squares of `1 / denominator` from its state z (p,).
 
         The state is that of the transposed direct form II, as `scipy.signal.lfilter` returns it; `P = A' P A + c c'`.
         """
@@ -67,7 +68,7 @@ class Autoregression:
         p = len(self.phi)
         if p == 0:
             return np.concatenate([[self.variance], np.zeros(n - 1)])
-        h = self._impulse_response(max(n, 4096))  # long enough for its slowest pole (roots lie within 0.999)
+        h = self._impulse_response(max(n, 4096))  # long enough for its slowest pole (roots are within 0.999)
         covariance = signal.fftconvolve(h, h[::-1])[len(h) - 1 :][:n]
         return covariance * (self.variance / covariance[0])
 
@@ -87,7 +88,7 @@ def fit_autoregression(stretches: list[np.ndarray], max_order: int = MAX_ORDER) 
 
 
 class Lags:
-    """The past of a residual beside its present, summed up for every order, while stretches come in pieces."""
+    """Products of a residual with its own past, summed for every order, while stretches come in pieces."""
 
     def __init__(self, max_order: int = MAX_ORDER) -> None:
         """Start with no samples."""
@@ -103,11 +104,11 @@ class Lags:
         return self._count > 0
 
     def begin(self) -> None:
-        """Say that what comes next does not follow what came before."""
+        """Begin a new stretch, which does not continue the last one."""
         self._before = np.zeros(0)
 
     def add(self, piece: np.ndarray) -> None:
-        """Take in the next samples (n,) of the stretch."""
+        """Add the next samples (n,) of the stretch."""
         self._squares += float(np.sum(piece**2))
         self._count += len(piece)
         x, width = np.concatenate([self._before, piece]), self.max_order + 1
@@ -119,7 +120,7 @@ class Lags:
         self._before = x[-self.max_order :]
 
     def model(self) -> Autoregression:
-        """Return the model of everything taken in."""
+        """Return the model of all added samples."""
         variance = self._squares / self._count
         best, best_aic = np.zeros(0), self._count * np.log(max(variance, 1e-300))
         factors = {part: part.R for part in (self._whole, *self._early[1:])}
@@ -144,7 +145,7 @@ class _Triangle:
         self.count, self._size, self._rows = 0, 0, [np.zeros((0, k))]
 
     def add(self, rows: np.ndarray) -> None:
-        """Take in rows (n, k)."""
+        """Add rows (n, k)."""
         self.count += len(rows)
         self._size += len(rows)
         self._rows.append(rows)

@@ -1,6 +1,6 @@
-"""Base parameters: which combinations of parameters a regressor can see, and how to say so.
+"""Base parameters: the identifiable combinations of parameters of a regressor, and their expressions.
 
-Of linearly dependent columns the leftmost are kept, so that a column is explained by those before it: `W_D = W_B K`, and
+The leftmost of linearly dependent columns are kept, so that a column is explained by those before it: `W_D = W_B K`, and
 `W theta = W_B beta` with `beta = theta_B + K theta_D`. The rank is found by QR with column pivoting on columns of unit
 norm. Reference: Gautier 1991, Numerical calculation of the base inertial parameters.
 """
@@ -22,7 +22,7 @@ RANK_TOLERANCE = 1e-6
 """Part of a unit column that others must leave unexplained; closures are solved to 1e-12, so dependence shows to ~1e-10."""
 
 _CLEAR = 10.0
-"""Tolerances by which a column that was left out must be unexplained before the choice of the others is doubted."""
+"""Unexplained part of a dropped column, in tolerances, above which the kept columns are chosen again with a larger tolerance."""
 _COARSEST = 1e-2  # relative tolerance of the rank, at most
 _NEGLIGIBLE = 1e-6
 """Part of a dropped unit column below which a kept one has no share in it."""
@@ -31,11 +31,11 @@ _FACTOR = re.compile(r"[0-9]+(\.[0-9]+)?(e[+-][0-9]+)?")
 
 @dataclass(frozen=True, eq=False)
 class BaseParameters:
-    """The combinations a regressor can see.
+    """The identifiable combinations of a regressor's parameters.
 
     Attributes:
         names: All column names (p,).
-        kept: Columns that stand for the base parameters (r,).
+        kept: Columns of the base parameters (r,).
         dropped: The other columns (p - r,).
         K: How the dropped columns regroup into the kept ones (r, p - r).
     """
@@ -81,7 +81,7 @@ class BaseParameters:
         return text
 
     def depends_on(self, column: int) -> tuple[str, ...]:
-        """Return the names of the parameters that a column shares its base parameters with; empty if none or unseen."""
+        """Return the names of the parameters that a column shares its base parameters with; empty if alone or not excited."""
         if column in self.dropped:
             d = int(np.flatnonzero(self.dropped == column)[0])
             rows = np.flatnonzero(self.K[:, d])
@@ -93,9 +93,9 @@ class BaseParameters:
 
 
 def read_expression(text: str) -> dict[str, float]:
-    """Return the coefficient of each parameter in what `BaseParameters.expression` wrote, by name.
+    """Return the coefficient of each parameter in a text from `BaseParameters.expression`, by name.
 
-    Names are not checked; one that itself reads like a sum comes out in pieces.
+    Names are not checked; a name that contains a sum is split.
     """
     first, *others = re.split(r" ([+-]) ", text)
     weights: dict[str, float] = {}
@@ -116,7 +116,7 @@ def find_base(
         W: Stacked columns (N, p), whitened or not.
         names: Column names.
         tolerance: Unexplained part of a unit column below which it is dependent.
-        units: The parameters' units; columns far smaller than the largest of their unit count as unseen.
+        units: The parameters' units; columns far smaller than the largest of their unit count as not excited.
     """
     norm = np.linalg.norm(W, axis=0)
     seen = _visible(norm, units)
@@ -125,9 +125,7 @@ def find_base(
     rank = _rank(R, tolerance)
     kept, small = _leftmost(R, seen, rank, tolerance), _NEGLIGIBLE
     while tolerance < _COARSEST and _left_out(R, seen, kept) > _CLEAR * tolerance:
-        tolerance *= (
-            2  # noise made columns on the left differ by little, and they took the places of those on the right
-        )
+        tolerance *= 2  # noise made dependent columns on the left look independent
         kept, small = _leftmost(R, seen, rank, tolerance), _CLEAR * tolerance
     dropped = [c for c in range(len(names)) if c not in kept]
     K = (
@@ -141,10 +139,10 @@ def find_base(
 
 
 def find_contained(W: np.ndarray, kept: Sequence[int], fixed: Sequence[int]) -> np.ndarray:
-    """Return the factors (r, k) by which base parameters contain fixed parameters; zero where data tell the two apart.
+    """Return the factors (r, k) by which base parameters contain fixed parameters; zero if data separate the two.
 
-    The column of a fixed parameter that is a combination of base columns, `W_F = W_B K_F`, adds `K_F theta_F` to what the data
-    determine: `W_B beta + W_F theta_F = W_B (beta + K_F theta_F)`.
+    The column of a fixed parameter that is a combination of base columns, `W_F = W_B K_F`, adds `K_F theta_F` to the sum that the
+    data determine: `W_B beta + W_F theta_F = W_B (beta + K_F theta_F)`.
 
     Args:
         W: Columns (N, p), or a triangular factor of them.
@@ -162,7 +160,7 @@ def find_contained(W: np.ndarray, kept: Sequence[int], fixed: Sequence[int]) -> 
         if np.linalg.norm(unit[:, column] - basis @ factors) < _CLEAR * RANK_TOLERANCE:
             scale = np.divide(
                 norm[column], norm[kept], out=np.zeros(len(kept)), where=norm[kept] > 0
-            )  # weighed ones have none
+            )  # zero norm: known only from a prior
             found[:, k] = np.where(np.abs(factors) > _CLEAR * RANK_TOLERANCE, factors * scale, 0.0)
     return found
 

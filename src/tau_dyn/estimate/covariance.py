@@ -1,16 +1,17 @@
-"""How certain an estimate is when its residual is coloured, and coloured residuals made white.
+"""Covariance of an estimate with a coloured residual, and whitening of coloured residuals.
 
-**Least squares.** With `W = U R` the weighted rows, `U` orthonormal, `cov = R^-1 (U' Omega U) R^-T`. `U' Omega U` is found twice:
-with `Omega` the autocovariance of an autoregressive model of each output's residual at true time lags, gaps in the mask included;
-and from the scatter of 2 s blocks' scores, which also sees colour that no such model has. Of any number wanted the larger
-standard error counts; the matrices themselves stay apart, as inflating one parameter by parameter would destroy what
-correlations say about sums (and, in `physical_consistency.py`, move an estimate in directions that the data forbid).
-The point estimate stays that of weighted least squares: whitening it would amplify what the model misses at high
+**Least squares.** With `W = U R` the weighted rows, `U` orthonormal, `cov = R^-1 (U' Omega U) R^-T`. `U' Omega U` is computed
+twice: with `Omega` the autocovariance of an autoregressive model of each output's residual at true time lags, gaps in the mask
+included; and from the scatter of 2 s blocks' scores, which also contains colour that no such model describes. For each
+requested quantity the larger standard error counts. The matrices themselves are kept separate, as inflating one parameter by
+parameter would destroy the correlations that determine sums (and, in `physical_consistency.py`, move an estimate in directions
+that the data forbid). The point estimate stays that of weighted least squares: whitening would amplify the model error at high
 frequency (on EMPS it moves the viscous coefficient by 4 %). Reference: White 1980; Newey & West 1987; Ljung 1999, 9.
 
 **White equations** (`cov = J^-1 (K + sum g g') J^-T`). `K` are known rows; the scores `g` are sums of `Z' e` over blocks. White
-residuals need no blocks: `sum g g'` is `sum_j sigma_j^2 Z_j' Z_j`, which knows the error ten times better than a scatter does.
-Where neighbours are correlated, blocks of 0.1 s take its place; blocks of 2 s stand beside them, for what has a longer memory.
+residuals need no blocks: `sum g g'` is `sum_j sigma_j^2 Z_j' Z_j`, which estimates the error ten times better than a scatter
+does. If neighbours are correlated, blocks of 0.1 s replace it; blocks of 2 s are used in addition, for correlation over longer
+times.
 
 **Whitening.** Within each unbroken stretch of usable samples of one output, row t is
 
@@ -42,7 +43,7 @@ def assign_blocks(since: np.ndarray, seconds: float = BLOCK_S) -> np.ndarray:
 
 
 class Covariance(NamedTuple):
-    """What least squares knows about its errors.
+    """Covariances of a least-squares estimate.
 
     `autoregressive` (r, r) by the autoregressive models, `clustered` (r, r) from blocks, and each output's noise
     model.
@@ -59,17 +60,17 @@ def select_larger_stderr(coloured: np.ndarray, scattered: np.ndarray) -> np.ndar
 
 
 Scores = Callable[[], Iterator[Iterator[RegressionRows]]]
-"""Yields every run anew: its weighted base columns and residuals, in order, piece by piece."""
+"""Function that yields every run at each call: its weighted base columns and residuals, in order, piece by piece."""
 
 
 def estimate_covariance(scores: Scores, n_samples: int, R: np.ndarray, known: np.ndarray) -> Covariance:
-    """Return how certain a weighted least-squares estimate is.
+    """Return the covariances of a weighted least-squares estimate.
 
     Args:
         scores: Yields every run's weighted base columns (n, m, r) as `W` and weighted residuals (n, m) as `y`; called twice.
         n_samples: Number of usable measurements.
         R: Triangular factor (r, r) of all weighted rows, prior rows included.
-        known: Rows (k, r) whose outer products add to `W' Omega W`: prior rows, and what is uncertain beside the noise.
+        known: Rows (k, r) whose outer products add to `W' Omega W`: prior rows, and uncertainty in addition to the noise.
     """
     scale = np.linalg.norm(R, axis=0)
     inverse = linalg.solve_triangular(R / scale, np.eye(len(R))) / scale[:, None]
@@ -83,7 +84,7 @@ def estimate_covariance(scores: Scores, n_samples: int, R: np.ndarray, known: np
 def _first_pass(scores: Scores, inverse: np.ndarray) -> tuple[list[Autoregression], np.ndarray, int]:
     """Return each output's noise model, and the summed outer products and number of 2 s blocks' scores.
 
-    All outputs of a block together, as their noise may be common.
+    The scores of a block sum all outputs, as their noise may be common.
     """
     lags: list[Lags] = []
     blocks = _Blocks(len(inverse))
@@ -103,7 +104,7 @@ def _first_pass(scores: Scores, inverse: np.ndarray) -> tuple[list[Autoregressio
 
 
 def _add_stretches(lags: Lags, e: np.ndarray, usable: np.ndarray, open_: bool) -> bool:
-    """Take in the unbroken stretches of a residual (n,); return whether the last one may go on in the next piece."""
+    """Add the unbroken stretches of a residual (n,); return whether the last one may continue in the next piece."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], usable.astype(int), [0]])))
     for start, stop in zip(edges[::2], edges[1::2], strict=True):
         if start > 0 or not open_:
@@ -120,7 +121,7 @@ class _Blocks:
         self._number, self._sum, self._used = -1, np.zeros(r), False
 
     def add(self, number: np.ndarray, score: np.ndarray, used: np.ndarray) -> None:
-        """Take in rows' block numbers (n,), scores (n, r) and whether any output uses them (n,)."""
+        """Add rows' block numbers (n,), scores (n, r) and whether any output uses them (n,)."""
         edges = np.flatnonzero(np.diff(number, prepend=number[:1] - 1))
         for start, stop in zip(edges, [*edges[1:], len(number)], strict=True):
             if number[start] != self._number:
@@ -130,7 +131,7 @@ class _Blocks:
             self._used = self._used or bool(used[start:stop].any())
 
     def close(self) -> None:
-        """End the block that is open."""
+        """End the current block."""
         if self._used:
             self.total += np.outer(self._sum, self._sum)
             self.count += 1
@@ -161,13 +162,13 @@ def _coloured(scores: Scores, inverse: np.ndarray, models: list[Autoregression])
 SHORT_S = 0.1  # [s] of the short blocks
 LAGS = 5  # samples; lags whose correlation is tested
 MAX_CORRELATION_Z = 4.0
-"""Standard errors that each of the first correlations may be off zero."""
+"""Largest size of each of the first correlations, in standard errors, for a white residual."""
 
 
 def estimate_score_covariance(
     times: Sequence[np.ndarray], Z: Sequence[np.ndarray], residuals: Sequence[np.ndarray], keep: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the scores' covariance (r, r) twice: by the residual's colour, and from the scatter of long blocks.
+    """Return two covariances (r, r) of the scores: from the residual's correlation, and from the scatter of long blocks.
 
     Args:
         times: Time (n,) of each stretch [s].
@@ -190,7 +191,7 @@ def estimate_score_covariance(
 
 
 def _white(residuals: Sequence[np.ndarray], keep: Sequence[np.ndarray]) -> bool:
-    """Return whether the first correlations of one output's residual are those of chance."""
+    """Return whether the first correlations of one output's residual are within chance."""
     power = sum(float(np.sum(e**2)) for e in residuals) / max(sum(int(x.sum()) for x in keep), 1)
     for lag in range(1, LAGS + 1):
         pairs = sum(int(np.sum(x[lag:] & x[:-lag])) for x in keep)
@@ -213,7 +214,7 @@ def _scatter(times: Sequence[np.ndarray], scores: Sequence[np.ndarray], seconds:
 
 @dataclass(frozen=True, eq=False)
 class Whitener:
-    """Turns arrays over runs into white rows.
+    """Whitening of arrays over runs into white rows.
 
     Attributes:
         rows: One sparse matrix (r, n) for each run and output, run by run.
@@ -258,13 +259,13 @@ class Whitener:
         return sorted({k // self.n_outputs for k, L in enumerate(self.rows) if L.nnz})
 
     def __call__(self, arrays: Sequence[np.ndarray]) -> np.ndarray:
-        """Return white rows (R, ...) of arrays over the runs (n, m, ...); runs without any row are not looked at."""
+        """Return white rows (R, ...) of arrays over the runs (n, m, ...); runs without any row are skipped."""
         m = self.n_outputs
         parts = [L @ arrays[k // m][:, k % m] for k, L in enumerate(self.rows) if L.nnz]
         return np.concatenate(parts) if parts else np.zeros((0, *np.shape(arrays[0])[2:]))
 
     def one(self, output: int, arrays: Sequence[np.ndarray]) -> np.ndarray:
-        """Return the white rows of one output alone, of arrays over the runs (n, ...)."""
+        """Return the white rows of one output, from arrays over the runs (n, ...)."""
         return np.concatenate([self.rows[r * self.n_outputs + output] @ x for r, x in enumerate(arrays)])
 
 

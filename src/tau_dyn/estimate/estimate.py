@@ -1,19 +1,18 @@
-"""What an estimation knows about its answer: values, uncertainty, what could not be seen, and where physics held it.
+"""Result of an estimation: values, uncertainty, parameters that are not identifiable, and values moved by physical constraints.
 
-A sum `w' theta` is told even where none of its terms is: if and only if `w` lies in the row space of the columns, that is if
-`w_D = K' w_B`; then it equals `w_B' beta`. So a published base parameter, or a total mass, can be compared whatever base either
-side has chosen.
+**Sums.** A sum `w' theta` can be identifiable even if its terms are not: if and only if `w` is in the row space of the columns,
+that is if `w_D = K' w_B`; then it equals `w_B' beta`. So a published base parameter, or a total mass, can be compared for any
+choice of base on either side.
 
-Combinations of base parameters that the data tell better than the robot file does, where single ones are hardly told.
-
-Base parameters that a motion hardly tells apart have large errors, and sums of them have small ones. With the covariance C of
-the base parameters and their standard deviation D before the data, the directions v of
+**Determined combinations** of base parameters are known from the data better than from the robot file, even if single base
+parameters are poorly determined. Base parameters that a motion hardly separates have large errors, and sums of them have small
+ones. With the covariance C of the base parameters and their standard deviation D before the data, the directions v of
 
     D^-1 C D^-1 v = mu v,    mu < 1,
 
-are known better than before. Their span holds every combination that is worth a value. It is written with as few terms as it
-has directions: QR with column pivoting chooses the parameter that stands for each, as for base parameters. Reference: Gautier
-1991; the prior in the place of a numerical tolerance.
+are known better than before. Their span contains every combination that is worth a value. It is written with as few terms as it
+has directions: QR with column pivoting chooses the leading parameter of each, as for base parameters. Reference: Gautier
+1991; the prior replaces a numerical tolerance.
 """
 
 from __future__ import annotations
@@ -51,19 +50,19 @@ class Estimate(Brief):
 
     Attributes:
         regression: The problem.
-        parameters: Values that predict best within physics, with `stderr` where the data identify a parameter alone.
+        parameters: Values that predict best within physics, with `stderr` if the data identify a parameter alone.
         base: Base parameters of the data.
         beta: Their estimates (r,), after any constraint.
         beta_plain: Their least-squares estimates without constraints (r,).
         cov: Covariance of `beta_plain` (r, r), by autoregressive models of the residual.
-        scatter: The same from the scatter of blocks (r, r); of any number wanted, the larger error of the two counts.
-        structural: Base parameters any motion could show; None where no such study was given.
+        scatter: The same from the scatter of blocks (r, r); for each quantity, the larger error of the two counts.
+        structural: Base parameters any motion could show; None if no such study was given.
         cond: Condition number of the base columns at unit norm.
         noise: Noise model of each output's residual.
         sigma: Residual deviation of each output (m,), the weights.
-        moved: Names of what a constraint holds away from the plain estimate, with the plain value.
-        estimator: Name of the estimator that answered; see `identify/estimators.py`.
-        warnings: What is doubtful about how it was found.
+        moved: Names of parameters that a constraint holds away from the plain estimate, with the plain value.
+        estimator: Name of the estimator that was used; see `identify/estimators.py`.
+        warnings: Sentences about doubts in the estimation.
     """
 
     regression: Regression
@@ -106,9 +105,9 @@ class Estimate(Brief):
         return self.regression.residuals(self.theta)
 
     def refit(self, outputs: Sequence[np.ndarray]) -> np.ndarray:
-        """Return what these least squares make of further outputs (n, m) of each run: base parameters (r,).
+        """Return the least-squares base parameters (r,) for other outputs (n, m) of each run, with the same weights.
 
-        Parameters measured beforehand are held as they are in the estimate.
+        Parameters measured beforehand have the same weight as in the estimate, and the target zero.
         """
         rows = self.stack_rows()
         targets = [(x / self.sigma)[run.usable] for run, x in zip(self.regression.runs, outputs, strict=True)]
@@ -116,7 +115,7 @@ class Estimate(Brief):
         return solve_scaled(rows, np.concatenate([y, np.zeros(len(rows) - len(y))]), _REFIT_TOLERANCE)
 
     def stack_rows(self) -> np.ndarray:
-        """Return the weighted base columns of usable samples, then rows of what was measured beforehand (N + k, r)."""
+        """Return the weighted base columns of usable samples, then rows of parameters measured beforehand (N + k, r)."""
         base, parameters = self.base, self.regression.parameters
         kept = [parameters.names.index(base.names[c]) for c in base.kept]
         rows = [(run.W[:, :, kept] / self.sigma[:, None])[run.usable] for run in self.regression.runs]
@@ -125,10 +124,11 @@ class Estimate(Brief):
 
     @cached_property
     def contained(self) -> tuple[dict[str, float], ...]:
-        """Of each base parameter, the fixed drive inertias that it contains, with their factors.
+        """The fixed drive inertias that each base parameter contains, with their factors.
 
-        A rotor's reflected inertia `G^2 J` acts as `armature a`. Where bodies give the same column, as the link behind the first
-        joint of an arm does, no data tell the two apart. A body that alone holds a drive's inertia nobody gave keeps its name.
+        A rotor's reflected inertia `G^2 J` acts as `armature a`. If bodies give the same column, as the link behind the first
+        joint of an arm does, no data separate the two. A single body that contains a drive inertia without a given value keeps
+        its name.
         """
         parameters, base = self.regression.parameters, self.base
         drives = [k for k, p in enumerate(parameters) if not p.free and p.name.endswith(_DRIVE_INERTIA)]
@@ -146,7 +146,7 @@ class Estimate(Brief):
         )
 
     def sum_contained(self, row: int) -> float:
-        """Return what fixed drive inertias add to a base parameter."""
+        """Return the sum of the fixed drive inertias in a base parameter."""
         return sum(factor * self.regression.parameters[name].value for name, factor in self.contained[row].items())
 
     def expression(self, row: int) -> str:
@@ -159,13 +159,13 @@ class Estimate(Brief):
         return name in base.names and bool(base.alone[base.names.index(name)])
 
     def determined(self, name: str) -> bool:
-        """Return whether these data tell the parameter to within 30 % of its value."""
+        """Return whether these data determine the parameter to within 30 % of its value."""
         p = self.parameters[name]
         return p.stderr is not None and p.stderr < MAX_RELATIVE_STDERR * abs(p.value)
 
 
 def attach_stderr(parameters: Parameters, base: BaseParameters, stderr: np.ndarray) -> Parameters:
-    """Attach standard errors to the parameters that are base parameters by themselves, and say where each value came from."""
+    """Attach standard errors to the parameters that are base parameters by themselves, and the origin of each value."""
     known = base.by_name(stderr)
     shared = {name for k, name in enumerate(base.names) if name not in known and base.depends_on(k)}
     origin = dict.fromkeys(known, "identified") | dict.fromkeys(shared, "one of many splits with the same forces")
@@ -178,7 +178,7 @@ def attach_stderr(parameters: Parameters, base: BaseParameters, stderr: np.ndarr
 
 
 _TOLERANCE = 1e-6
-"""Relative part of a weight that may be off: base combinations are known to about 1e-9, published ones are often rounded."""
+"""Largest relative error of a weight: base combinations are known to about 1e-9, published ones are often rounded."""
 
 
 class ParameterSum(NamedTuple):
@@ -189,7 +189,7 @@ class ParameterSum(NamedTuple):
 
 
 def combine_parameters(estimate: Estimate, weights: Mapping[str, float]) -> ParameterSum:
-    """Return `sum of weight * parameter` as plain least squares sees it, before bounds and physics, which the error is for.
+    """Return `sum of weight * parameter` from plain least squares, without bounds and physics, and its standard error.
 
     Args:
         estimate: A solved regression.
@@ -220,9 +220,9 @@ def combine_parameters(estimate: Estimate, weights: Mapping[str, float]) -> Para
 
 
 _WIDE = 100.0
-"""Standard errors that a parameter without a prior is free to differ by: the data alone tell it."""
+"""Prior standard deviation of a parameter without a prior, in its standard errors: the data alone determine it."""
 _NEGLIGIBLE = 0.1
-"""Standard errors by which a term may move its sum and is left out: what the parameter may be off, times its factor."""
+"""Change of a sum [standard errors] below which a term is left out: the parameter's possible error times its factor."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,8 +230,8 @@ class DeterminedCombinations:
     """Combinations with their values.
 
     Attributes:
-        base: The parameter that stands for each combination, and the factors of the others.
-        contained: Of each combination, the fixed drive inertias that it contains, with their factors.
+        base: The leading parameter of each combination, and the factors of the others.
+        contained: The fixed drive inertias that each combination contains, with their factors.
         values: Their values (k,), each in the unit of its first parameter.
         stderr: Their standard errors (k,).
     """
@@ -243,11 +243,11 @@ class DeterminedCombinations:
 
 
 def find_determined_combinations(estimate: Estimate, sizes: Mapping[str, float]) -> DeterminedCombinations | None:
-    """Return the combinations that the data tell better than the robot file; None where they tell every base parameter.
+    """Return the combinations that the data determine better than the robot file; None if they determine every base parameter.
 
     Args:
         estimate: The fit.
-        sizes: Standard deviation of a parameter before the data, by name, in its unit; the data alone tell the others.
+        sizes: Standard deviation of a parameter before the data, by name, in its unit; others have no prior.
     """
     base, stderr = estimate.base, estimate.stderr
     prior = _compute_prior_stderr(base, stderr, sizes)
@@ -285,7 +285,7 @@ def _sum_contained(estimate: Estimate, weights: np.ndarray) -> dict[str, float]:
 
 
 def _compute_prior_stderr(base: BaseParameters, stderr: np.ndarray, sizes: Mapping[str, float]) -> np.ndarray:
-    """Return how far each base parameter (r,) may be off before the data, the terms of its sum taken as independent."""
+    """Return each base parameter's standard deviation (r,) before the data, with independent terms of its sum."""
     own = np.array([sizes.get(name, np.nan) for name in base.names])
     terms = np.concatenate([own[base.kept][:, None] ** 2, (base.K * np.nan_to_num(own[base.dropped])) ** 2], axis=1)
     prior = np.sqrt(terms.sum(axis=1))

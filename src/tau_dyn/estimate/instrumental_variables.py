@@ -1,11 +1,11 @@
-r"""Instrumental variables: columns that the noise does not touch, in place of the columns on the left.
+r"""Instrumental variables: columns without noise replace those on the left of the normal equations.
 
     Z' Sigma^-1 (y - W theta) = 0,   cov = J^-1 (Z' Sigma^-1 Omega Sigma^-1 Z) J^-T,   J = Z' Sigma^-1 W
 
-Least squares has Z = W, and where W holds noise that y - W theta holds too, it is biased. With the noise-free columns as Z and
-the noise's own covariance as Sigma, no consistent estimator that knows as little is more precise. Rows come whitened by
-`Sigma`; `Omega` is what the whitened residual says of itself (`covariance.py`), so that the error stays honest where
-`Sigma` is not quite right. Reference: Soderstrom & Stoica 1983, Instrumental Variable Methods for System
+Least squares has Z = W, and is biased if W contains noise that y - W theta contains, too. With the noise-free columns as Z and
+the noise's own covariance as Sigma, no consistent estimator with the same knowledge is more precise. Rows come whitened by
+`Sigma`; `Omega` is estimated from the whitened residual (`covariance.py`), so that the standard error stays valid if `Sigma` is
+not quite right. Reference: Soderstrom & Stoica 1983, Instrumental Variable Methods for System
 Identification.
 """
 
@@ -23,7 +23,7 @@ from tau_dyn.estimate.weights import build_prior_rows
 from tau_dyn.exceptions import CannotAnswer
 
 MIN_RECIPROCAL_CONDITION = 1e-8
-"""Reciprocal condition of `J` at unit scale below which instruments tell the parameters apart no more."""
+"""Reciprocal condition of `J` at unit scale below which instruments do not separate the parameters."""
 
 _ROWS = 400
 """Equations multiplied at once."""
@@ -37,8 +37,8 @@ class WhiteRows:
         t: Time (n,) [s].
         Z: Instruments (n, m, r).
         W: Columns (n, m, r).
-        y: Forces less what fixed parameters make (n, m).
-        shares: What each output's force alone makes of `y` (n, m, m), for gains that are uncertain; or None.
+        y: Forces minus the contribution of fixed parameters (n, m).
+        shares: Contribution of each output's force to `y` (n, m, m), for uncertain gains; or None.
         keep: Which equations count (n, m).
     """
 
@@ -60,14 +60,14 @@ class InstrumentalSolution:
 
 
 def solve_instrumental_variables(first: Estimate, rows: Sequence[WhiteRows]) -> InstrumentalSolution:
-    """Return base estimates from white rows and from what is known beforehand.
+    """Return base estimates from white rows and prior knowledge.
 
     Args:
-        first: Gives base parameters and prior knowledge.
+        first: First estimate, with base parameters and prior knowledge.
         rows: Stretches, never joined.
 
     Raises:
-        CannotAnswer: The instruments do not tell the parameters apart.
+        CannotAnswer: The instruments do not separate the parameters.
     """
     known, prior = _known(first)
     J = known.T @ known + sum(_product(x.Z, x.W) for x in rows)
@@ -91,15 +91,15 @@ def estimate_of(
     """Return the estimate with its covariance, held within physics, on the regression of a first one.
 
     Args:
-        first: Weighted least squares; gives the regression to judge on, base parameters and bounds.
+        first: Weighted least squares, with the regression for residuals, base parameters and bounds.
         rows: Stretches.
-        solution: What `solve_instrumental_variables` found.
+        solution: Result of `solve_instrumental_variables`.
         physics: Bodies to keep physical.
         gains: Relative standard deviation of an output's scale, by output.
-        factor: By which errors are larger than fixed weights make them.
+        factor: Ratio of the covariance to that with fixed weights.
 
     Raises:
-        CannotAnswer: The instruments have next to nothing in common with the columns.
+        CannotAnswer: The instruments are almost uncorrelated with the columns.
     """
     coloured, scattered = estimate_instrumental_covariance(first, rows, solution, gains or {}, factor)
     try:
@@ -126,7 +126,7 @@ def estimate_instrumental_covariance(
     gains: Mapping[str, float],
     factor: float = 1.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the covariance (r, r) by the residual's colour, and from the scatter of blocks; see `estimate_of`."""
+    """Return the covariances (r, r) from the residual's correlation and from the scatter of blocks; see `estimate_of`."""
     known, _ = _known(first)
     extra = [known]
     for k, output in enumerate(first.regression.outputs):
@@ -160,6 +160,6 @@ def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _known(first: Estimate) -> tuple[np.ndarray, np.ndarray]:
-    """Return what was measured beforehand as rows of unit noise: base columns (k, r) and values (k,)."""
+    """Return parameters measured beforehand as rows of unit noise: base columns (k, r) and values (k,)."""
     rows, values = build_prior_rows(first.regression.parameters.select(first.base.names))
     return rows[:, first.base.kept], values

@@ -2,12 +2,11 @@ r"""Weighted least squares on base parameters, each output weighted by its own n
 
     minimise  sum_j || (y_j - W_j theta) / sigma_j ||^2
 
-`sigma_j` is output j's residual deviation; estimate and weights take turns until they agree. A parameter known beforehand
-with an uncertainty is one more row. Covariances hold under coloured noise (`noise.py`), bounds and physics come after
+`sigma_j` is output j's residual deviation; estimate and weights are iterated until they converge. A parameter known beforehand
+with an uncertainty is one more row. Covariances hold under coloured noise (`covariance.py`), bounds and physics come after
 (`physical_consistency.py`). Reference: Gautier & Poignet 2001, Extended Kalman filtering and weighted least squares dynamic
-identification of robot. All of it works on the outputs' triangular factors (`regression.py`), so that the number of
-samples does not
-matter; only the covariance looks at the residuals themselves, run by run.
+identification of robot. The algorithm uses the outputs' triangular factors (`regression.py`), so that the number of samples
+does not matter; only the covariance needs the residuals themselves, run by run.
 """
 
 from __future__ import annotations
@@ -40,9 +39,10 @@ def solve_least_squares(
 
     Args:
         regression: The problem; fixed parameters keep their values, those with `prior_stderr` are measured beforehand.
-        physics: What makes a parameter vector physical; None for bounds alone. Where no body can have the estimated inertia,
-            drive inertias that it may hold are estimated, too.
-        structural: Base parameters that any motion could show, for telling a dull motion from a blind robot.
+        physics: Constraints that make a parameter vector physical; None for bounds alone. If no body can have the estimated
+            inertia, drive inertias that it may contain are estimated, too.
+        structural: Base parameters that any motion could show; they separate parameters that are not excited from those that are
+            not identifiable.
         gains: Relative standard deviation of an output's scale (a motor constant), by output name; carried through.
 
     Raises:
@@ -95,7 +95,7 @@ def solve_least_squares(
 class _Rows:
     """Rows of the free columns, fixed ones subtracted, and prior knowledge as rows of unit noise.
 
-    An output's rows are those of its triangular factor, which least squares cannot tell from all of its samples;
+    An output's rows are those of its triangular factor, which is equivalent to all of its samples in least squares;
     `count` and `mean` of `y` are those of the samples.
     """
 

@@ -1,15 +1,14 @@
-"""Nonlinear least squares: Gauss-Newton with Levenberg's damping, for whatever a step can move.
+"""Nonlinear least squares: Gauss-Newton with Levenberg's damping, for any state that a step can move.
 
-`descend` is the loop. A problem says how it looks linearised, how a state moves by a step and what a move gains, so
-rotations, balanced models and normal equations solved by blocks fit in. Directions that neither data nor prior tell are not
-moved along.
+`descend` is the loop. A problem defines its linearisation, the state after a step and the gain of a move. So rotations, balanced
+models and normal equations solved by blocks fit in. There is no step along directions that neither data nor prior determine.
 
-The loop is not `scipy.optimize.least_squares`, which knows vectors, dense or sparse derivatives and element-wise losses only.
+The loop is not `scipy.optimize.least_squares`, which supports vectors, dense or sparse derivatives and element-wise losses only.
 A bundle adjustment of 2 cameras and 40 plates (8,640 residuals, 262 unknowns) takes 0.05 s with plates eliminated block by
 block; SciPy takes 3.7 s dense (`trf`, `lm`) and 2.1 s sparse (`lsmr`, a worse optimum), 0.5 s of it for the derivatives.
 Reference: Nocedal & Wright 2006, 10.3.
 
-Linear least squares about one state, factored once for every damping, with blind directions left alone and bounds kept.
+`LinearSystem` is linear least squares about one state, factored once for every damping, without steps in blind directions.
 """
 
 from __future__ import annotations
@@ -31,12 +30,12 @@ class LinearSystem:
 
     Attributes:
         scales: Unit of each unknown (p,); damping weighs steps in these units.
-        q: Orthonormal basis (rows, p) of the columns, None where nobody asked for it.
-        u: Its turn to singular vectors (p, p).
+        q: Orthonormal basis (rows, p) of the columns, None if it was not requested.
+        u: Rotation of the basis to the left singular vectors (p, p).
         values: Singular values of the scaled columns (p,), largest first.
         v: Directions of the scaled unknowns (p, p), in columns.
         target: The residuals along each (p,).
-        tolerance: Of the largest singular value, below which a direction is blind.
+        tolerance: Share of the largest singular value below which a direction is blind.
     """
 
     scales: np.ndarray
@@ -56,12 +55,12 @@ class LinearSystem:
 
     @property
     def rank(self) -> int:
-        """Number of directions that the columns tell."""
+        """Number of directions that the columns determine."""
         return int(np.sum(self.values > self.tolerance * self.values.max(initial=0.0)))
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Covariance of the step (p, p) for residuals of unit noise; nothing along blind directions."""
+        """Covariance of the step (p, p) for residuals of unit noise; zero along blind directions."""
         root = self.scales[:, None] * self.v[:, : self.rank] / self.values[: self.rank]
         return root @ root.T
 
@@ -82,10 +81,10 @@ def factor_system(
     """Factor a linear least-squares problem.
 
     Args:
-        columns: What a unit of each unknown explains (rows, p).
-        residuals: What is to be explained (rows,).
+        columns: Contribution of a unit of each unknown to the residuals (rows, p).
+        residuals: Residuals to be explained (rows,).
         scales: Unit of each unknown (p,).
-        tolerance: Of the largest singular value, below which a direction is blind.
+        tolerance: Share of the largest singular value below which a direction is blind.
     """
     q, triangle = np.linalg.qr(columns * scales)
     u, values, vt = np.linalg.svd(triangle, full_matrices=True)
@@ -106,7 +105,7 @@ class LinearisedProblem(Protocol):
 
 
 class LeastSquaresProblem(Protocol[State]):
-    """What `descend` asks of a problem."""
+    """Interface of a problem for `descend`."""
 
     def linearise(self, state: State) -> LinearisedProblem:
         """Return the problem about a state."""
@@ -117,22 +116,22 @@ class LeastSquaresProblem(Protocol[State]):
         ...
 
     def gain(self, state: State, trial: State) -> float:
-        """Return by how much the cost falls from a state to another; minus infinity or nan where that may not be visited."""
+        """Return the decrease of the cost from a state to another; minus infinity or nan for a forbidden state."""
         ...
 
 
 @dataclass(frozen=True)
 class DescentRules:
-    """When to stop, and how to damp.
+    """Rules for stopping and damping.
 
     Attributes:
-        max_steps: Most accepted steps.
+        max_steps: Largest number of accepted steps.
         small_step: Size below which a step is the last.
         small_gain: Gain below which a step counts as idle.
         patience: Idle steps in a row that end the descent.
-        damping: At the start; 0 begins with a whole Gauss-Newton step.
-        first_damping: The smallest one above 0.
-        growth: Factor of the damping after a trial that gains nothing; its inverse after a step at the first trial.
+        damping: Damping at the start; 0 begins with a full Gauss-Newton step.
+        first_damping: The smallest damping above 0.
+        growth: Factor of the damping after a trial without gain; its inverse after a step at the first trial.
         max_trials: Dampings tried before the state counts as a minimum.
     """
 
@@ -148,7 +147,7 @@ class DescentRules:
 
 @dataclass(frozen=True, eq=False)
 class Descent(Generic[State]):
-    """Where a descent ended.
+    """Result of a descent.
 
     Attributes:
         state: The best state.
@@ -164,7 +163,7 @@ class Descent(Generic[State]):
 
     @property
     def converged(self) -> bool:
-        """Whether it came to rest."""
+        """Whether it converged."""
         return self.reason != "max_steps"
 
 
@@ -174,13 +173,13 @@ def descend(
     rules: DescentRules = DescentRules(),
     progress: Callable[[int, float], None] = lambda step, gain: None,
 ) -> Descent[State]:
-    """Walk down from a state.
+    """Minimise the cost of a problem, starting from a state.
 
     Args:
-        problem: What to make small.
-        state: Where to start.
-        rules: When to stop, and how to damp.
-        progress: Told the number of every accepted step and what it gained.
+        problem: The least-squares problem.
+        state: Initial state.
+        rules: Rules for stopping and damping.
+        progress: Callback that receives the number of every accepted step and its gain.
     """
     damping, idle, trials = rules.damping, 0, 0
     for steps in range(rules.max_steps):

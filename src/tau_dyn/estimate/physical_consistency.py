@@ -6,7 +6,8 @@
 The two Coulomb values of a joint are bounded by their sum alone, which is at least zero: a constant offset of the force sensor
 adds to one and takes from the other. `J` is the pseudo-inertia, `I` about the joint frame's origin: it is positive semidefinite
 if and only if some distribution of positive mass has these ten numbers. A conic program (cvxpy, clarabel). The second term
-chooses, of all vectors the data cannot tell apart, the one nearest the robot file; `eps` is too small to move what the data see.
+chooses the vector nearest the robot file among those that fit the data equally; `eps` is too small to move the combinations that
+the data determine.
 Reference: Sousa & Cortesao 2014; Wensing, Kim & Slotine 2018.
 """
 
@@ -28,7 +29,7 @@ _IXX, _IXY, _IYY, _IXZ, _IYZ, _IZZ = range(4, 10)
 
 @dataclass(frozen=True, eq=False)
 class InertialBody:
-    """One body: which parameters make its ten inertial numbers `pi = map @ parameters`.
+    """One body, with the map to its ten inertial parameters `pi = map @ parameters`.
 
     Attributes:
         name: Link name.
@@ -43,11 +44,11 @@ class InertialBody:
 
 @dataclass(frozen=True, eq=False)
 class PhysicalConstraints:
-    """The bodies whose inertial numbers must be those of something that exists.
+    """Bodies whose inertial parameters must be physically consistent.
 
     Attributes:
         bodies: The bodies.
-        rotors: Fixed drive inertias that no data tell from the bodies'. A rotor turns about its joint alone, faster than the
+        rotors: Fixed drive inertias that no data separate from the bodies'. A rotor turns about its joint alone, faster than the
             body that carries it, so its inertia in a body may be more than any mass distribution has.
     """
 
@@ -78,24 +79,24 @@ PSEUDO_INERTIA_BASIS = _basis()
 
 
 _EPS = (1e-4, 1e-2)
-"""Pull towards the robot file: the smallest that leaves the program solvable is taken. On TX40 1e-4 moves no base parameter by
-0.03 of its standard error, while 1e-6 lets link masses wander off to 55 kg and the solver stop early."""
+"""Pull towards the robot file: the smallest with a solvable program is used. On TX40, 1e-4 moves no base parameter by 0.03 of its
+standard error, while with 1e-6 link masses drift to 55 kg and the solver stops early."""
 _UNITS = (1.0, 1e-2, 1e-4, 1e-6)
-"""Units of the cost, tried until the solver answers: data almost without noise make costs of 1e14, on which it gives up."""
+"""Units of the cost, tried until the solver succeeds: data almost without noise make costs of 1e14, at which it fails."""
 _MAX_CHI2_RISE = 1e-2
-"""Rise of chi-square above which physics has moved the answer beyond what the data leave open; the solver is more accurate."""
+"""Rise of chi-square above which physics has moved combinations that the data determine; the solver is more accurate."""
 _MAX_ITERATIONS = 12
-"""How often the program is solved again from its answer, where a file that is off by orders of magnitude (placeholders, grams,
-millimetres) moved that by its pull or its scale; physics alone gives the same rise again, and the first answer stays."""
+"""Largest number of repetitions from the last solution, if a file that is wrong by orders of magnitude (placeholders, grams,
+millimetres) moved it by its pull or its scale; physics alone gives the same rise again, and the first solution is kept."""
 _MAX_CHI2_RISE_RATIO = 0.8
-"""Share of the rise of chi-square below which another round was worth it."""
+"""Ratio of the rises of chi-square below which another iteration counts as an improvement."""
 _EDGE = 1e-6
-"""Part of a parameter's typical size within which it counts as being on its bound."""
+"""Distance from a bound, as a share of a parameter's typical size, within which the parameter is at its bound."""
 
 
 @dataclass(frozen=True)
 class ConstrainedParameters:
-    """Admissible parameters, and what a constraint holds away from its plain estimate (name -> plain value)."""
+    """Admissible parameters, and those that a constraint holds away from their plain estimate (name -> plain value)."""
 
     parameters: Parameters
     moved: Mapping[str, float]
@@ -110,7 +111,7 @@ def solve_consistent(
         parameters: All parameters with bounds; fixed ones stay.
         base: Base parameters of the free columns.
         beta: Plain base estimates (r,).
-        R: Triangular factor (r, r) with `R' R = W' W` of the weighted rows, so that a bound acts as fixing there would.
+        R: Triangular factor (r, r) with `R' R = W' W` of the weighted rows, so that an active bound acts as a fixed value.
         physics: Bodies to keep physical; None for bounds alone.
     """
     plain = parameters.with_values(_plain_values(parameters, base, beta))
@@ -136,7 +137,7 @@ def solve_consistent(
 
 
 def _plain_values(parameters: Parameters, base: BaseParameters, beta: np.ndarray) -> dict[str, float]:
-    """Return values that predict as `beta` does, with the dropped parameters where they were."""
+    """Return values with the same prediction as `beta`, with the dropped parameters unchanged."""
     theta = parameters.select(base.names).values
     theta[base.kept] = beta - base.K @ theta[base.dropped]
     return dict(zip(base.names, theta, strict=True))
@@ -188,7 +189,7 @@ def _program(
     constraints += [_sum_of(pair, parameters, position, theta) >= 0 for pair in sums]
     for body in bodies:
         constraints.append(_pseudo_inertia_of(body, parameters, position, theta) >> 0)
-    # what the data do not see keeps its value; what they see is pulled by far less than its own uncertainty
+    # combinations that the data do not determine keep their value; others are pulled by far less than their own uncertainty
     _minimise(cp.sum_squares(misfit), cp.sum_squares(x - nominal / scale), constraints, bodies, x)
     solution = np.clip(scale * x.value, lower, upper)
     for edge in (lower, upper):  # an interior-point solver stops just short of an edge
@@ -213,7 +214,7 @@ def _within(x: Any, lower: np.ndarray, upper: np.ndarray) -> list[Any]:
 
 
 def _minimise(misfit: Any, pull: Any, constraints: list[Any], bodies: list[InertialBody], x: Any) -> None:
-    """Solve the program with the smallest pull that leaves it solvable; `x` has the answer then."""
+    """Solve the program with the smallest pull at which it is solvable; `x` then holds the solution."""
     import cvxpy as cp
 
     for unit, eps in ((unit, eps) for unit in _UNITS for eps in _EPS):
@@ -256,7 +257,7 @@ def _pseudo_inertia_of(body: InertialBody, parameters: Parameters, position: dic
             total = total + parameters[name].value * J
     return (
         cp.reshape(columns @ theta, (4, 4), order="F") + total
-    )  # one product, not a sum that cvxpy walks term by term
+    )  # one product, not a sum that cvxpy processes term by term
 
 
 def _scale(free: Parameters, base: BaseParameters, beta: np.ndarray) -> np.ndarray:
@@ -268,7 +269,7 @@ def _scale(free: Parameters, base: BaseParameters, beta: np.ndarray) -> np.ndarr
 
 
 def _out_of_bounds(plain: Parameters, base: BaseParameters) -> dict[str, float]:
-    """Return the parameters that the data alone put outside their bounds, with plain values."""
+    """Return the parameters whose plain estimates are outside their bounds, with plain values."""
     seen = [plain[name] for name, alone in zip(base.names, base.alone, strict=True) if alone]
     names = {p.name for p in seen}
     sums = {" + ".join(pair): _add(plain, pair) for pair in plain.friction_sums if names.issuperset(pair)}
@@ -277,7 +278,7 @@ def _out_of_bounds(plain: Parameters, base: BaseParameters) -> dict[str, float]:
 
 
 def _made_physical(solved: Parameters, plain: Parameters, bodies: list[InertialBody]) -> dict[str, float]:
-    """Return the bodies on the edge of the physical that were beyond it, with their plain smallest eigenvalue."""
+    """Return the bodies on the limit of consistency whose plain estimate is beyond it, with its smallest eigenvalue."""
     moved = {}
     for body in bodies:
         least, trace = _smallest(body, solved)

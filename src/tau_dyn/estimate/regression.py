@@ -1,13 +1,13 @@
 """A linear regression `y = W theta + noise` with named columns, named outputs, and runs that are never joined.
 
-Plain arrays that can be inspected before anybody trusts `theta`. A run is one stretch of one log, evenly sampled; each of
+The data are plain arrays that can be inspected. A run is one stretch of one log, evenly sampled; each of
 its outputs has its own mask of usable samples. Torque, pose and vibration measurements all end in this form.
 
-Least squares needs of any number of rows only the triangular factor of each output's columns and measurements: with
+Least squares needs only the triangular factor of each output's columns and measurements, for any number of rows: with
 `[W_k y_k] = Q_k R_k`, `R_k` (p + 1, p + 1) gives every weighted fit of these rows and every residual's size,
 `|y_k - W_k theta| = |R_k [-theta; 1]|`, whatever the outputs' weights. Factors of blocks of rows are stacked and factored again,
-so rows may come in any number and be forgotten; unlike the normal equations this keeps all digits. Rows that a covariance needs
-and memory does not hold lie in a temporary file that no name leads to. Reference: Golub & Van Loan 2013, 5.2 and 6.5 (updating);
+so rows may come in any number and be discarded; unlike the normal equations this keeps all digits. Rows that a covariance needs
+and that exceed memory are in an anonymous temporary file. Reference: Golub & Van Loan 2013, 5.2 and 6.5 (updating);
 Demmel et al. 2012 (tall-skinny QR).
 """
 
@@ -46,13 +46,13 @@ class SufficientStatistics:
 
     @classmethod
     def zero(cls, n_outputs: int, n_columns: int) -> SufficientStatistics:
-        """Return the totals of no rows."""
+        """Return totals without rows."""
         k = n_columns + 1
         return cls(np.zeros((n_outputs, k, k)), np.zeros((n_outputs, k)), np.zeros(n_outputs, int))
 
     @classmethod
     def of(cls, W: np.ndarray, y: np.ndarray, usable: np.ndarray | None = None) -> SufficientStatistics:
-        """Return the totals of columns (n, m, p) and measurements (n, m), of usable samples (n, m) where given."""
+        """Return the totals of columns (n, m, p) and measurements (n, m), of usable samples (n, m) if given."""
         n, m, p = W.shape
         found = cls.zero(m, p)
         for k in range(m):
@@ -89,7 +89,7 @@ class SufficientStatistics:
 
 
 def compute_triangular_factor(W: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the triangular factor (p + 1, p + 1) of rows `[W y]`, W (n, p) and y (n,); columns of zeros cost nothing."""
+    """Return the triangular factor (p + 1, p + 1) of rows `[W y]`, W (n, p) and y (n,); columns of zeros take no time."""
     p = W.shape[1]
     used = np.flatnonzero(W.any(axis=0)) if len(W) else np.zeros(0, int)
     small = np.zeros((0, len(used) + 1))
@@ -126,9 +126,9 @@ class RegressionRun(Brief):
         W: Columns (n, m, p), filtered like `y`.
         y: Measured outputs (n, m).
         usable: Which samples of which output the fit may use (n, m).
-        W_all: The columns without any sample left out (n, m, p), for judging a model where the fit does not look.
-        y_all: The outputs alike (n, m).
-        signals: What else a report may want to draw, each (n, m): `q`, `v`, `a`, ...
+        W_all: The columns without any sample left out (n, m, p), for judging a model at samples that the fit does not use.
+        y_all: The outputs, without any sample left out (n, m).
+        signals: Further signals for a report, each (n, m): `q`, `v`, `a`, ...
     """
 
     name: str
@@ -158,12 +158,12 @@ class RegressionRows(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class StreamedData:
-    """What there is beyond the runs that are kept in memory, where a recording is larger than that.
+    """Data of recordings larger than memory, in addition to the runs that are kept in memory.
 
     Attributes:
         used: Totals of the rows that a fit may use.
         whole: Totals of all rows.
-        runs: Of every run, its rows in order, read back piece by piece.
+        runs: The rows of every run in order, read back piece by piece.
     """
 
     used: SufficientStatistics
@@ -205,7 +205,7 @@ class Preparation:
 
 
 AS_RECORDED = Preparation(inf, inf, inf, np.zeros(0), 0.0)
-"""Of rows that no filter and no mask has touched."""
+"""Preparation of rows without any filter or mask."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,9 +216,9 @@ class Regression(Brief):
         parameters: One per column, with nominal values, bounds and freedom.
         outputs: Names of the outputs (the actuated joints, for torques).
         units: Units of the outputs.
-        runs: The data; of a recording too large for memory, excerpts to look at.
+        runs: The data; for a recording too large for memory, excerpts for display.
         preparation: Filters and masks that the rows went through.
-        everything: Where `runs` are excerpts, all data; else None. Estimates and errors are of all data.
+        everything: All data if `runs` are excerpts; else None. Estimates and errors are of all data.
     """
 
     parameters: Parameters
@@ -256,7 +256,7 @@ class Regression(Brief):
         return total
 
     def rows(self) -> Iterator[Iterator[RegressionRows]]:
-        """Yield every run as its rows in order, in one piece or, of a large recording, in several."""
+        """Yield every run as its rows in order, in one piece or, for a large recording, in several."""
         if self.everything is not None:
             yield from (iter(run) for run in self.everything.runs)
         else:
@@ -300,14 +300,14 @@ class StoredRows:
     """
 
     def __init__(self, n_columns: int) -> None:
-        """Open a file with nothing in it."""
+        """Open an empty file."""
         self.n_columns = n_columns
         self._file = tempfile.TemporaryFile(prefix="tau_dyn_")
         weakref.finalize(self, self._file.close)
         self._places: list[list[int]] = []
 
     def begin(self) -> None:
-        """Say that what comes next is another run."""
+        """Begin a new run."""
         self._places.append([])
 
     def add(self, rows: RegressionRows) -> None:

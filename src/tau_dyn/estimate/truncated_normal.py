@@ -3,9 +3,9 @@ r"""Draws from a normal distribution restricted to a convex set: bounds, and mat
     z ~ N(0, 1)   subject to   a_i + b_i' z >= 0   and   J_k(z) = J_k0 + sum_j z_j J_kj > 0
 
 Exact Hamiltonian Monte Carlo: between walls a path is `z cos s + w sin s`, on which `|z|^2 + |w|^2` is constant; at a wall the
-velocity is reflected, so every path is accepted. The wall of a matrix is where its smallest eigenvalue is zero; with the
-eigenvector `u` its normal is `u' J_kj u`. Many chains run side by side and each gives one draw, so that draws are independent;
-whether they have forgotten where they began is measured over the chains. Reference: Pakman & Paninski 2014.
+velocity is reflected, so every path is accepted. The wall of a matrix is the set with a smallest eigenvalue of zero; with the
+eigenvector `u` its normal is `u' J_kj u`. Many chains run in parallel and each gives one draw, so that draws are independent;
+their correlation with their start is measured over the chains. Reference: Pakman & Paninski 2014.
 """
 
 from __future__ import annotations
@@ -18,16 +18,17 @@ import numpy as np
 from tau_dyn.results import Brief
 
 _STEP = 0.15
-"""Angle between looks at the walls; what leaves a set and returns between two looks was out by 0.003 of its length [rad]."""
-_PATH = (0.8, 2.4)  # length of a path, around the quarter turn after which a free one has forgotten its start [rad]
+"""Angle between checks of the walls [rad]; a path that leaves the set and returns between two checks was outside by 0.003 of its
+length."""
+_PATH = (0.8, 2.4)  # length of a path [rad], around the quarter turn that makes a free one independent
 _MAX_LOOKS = 400
-"""Looks and reflections of a path; a longer one is given up and its chain stays, which is as likely the other way round."""
+"""Largest number of checks and reflections of a path; a longer path is rejected and its chain stays (detailed balance)."""
 _BISECTIONS = 22  # of the angle of a hit, to 4e-8 rad
 _MIN_CHAINS = 200
-"""Chains that run at least, to measure how much they remember."""
-_MAX_CHAINS = 1000  # side by side; more draws are later states of the same chains
-_FIRST_PATHS = 4  # paths before the chains' memory is measured over as many more
-_MAX_PATHS = 128  # 32 times as many as the first look takes; chains that still remember their start are said to
+"""Least number of chains, to measure their autocorrelation."""
+_MAX_CHAINS = 1000  # in parallel; more draws are later states of the same chains
+_FIRST_PATHS = 4  # paths before the chains' autocorrelation is measured over as many more
+_MAX_PATHS = 128  # 32 times as many as the first check takes; chains still correlated with their start are reported
 _MAX_MEMORY = 0.2
 """Correlation of any coordinate over the chains, between half of their paths and all of them; by chance it reaches 0.12."""
 _MAX_DRIFT = 4.5
@@ -40,7 +41,7 @@ _EACH = len(_UPPER[0])
 
 @dataclass(frozen=True, eq=False)
 class ConvexSet(Brief):
-    """Where `a + B z >= 0` and every matrix `J0_k + sum_j z_j J_kj` is positive definite.
+    """Set in which `a + B z >= 0` and every matrix `J0_k + sum_j z_j J_kj` is positive definite.
 
     Attributes:
         a: Constants of the bounds (n,).
@@ -66,7 +67,7 @@ class ConvexSet(Brief):
         return np.concatenate([self.B.T, np.moveaxis(self.J[:, :, *_UPPER], 2, 1).reshape(d, -1)], axis=1)
 
     def contains(self, z: np.ndarray) -> np.ndarray:
-        """Return which of the points (N, d) lie inside (N,)."""
+        """Return which of the points (N, d) are inside (N,)."""
         return np.asarray(~self.find_crossed(self.constants + z @ self.gradients).any(axis=1))
 
     def find_crossed(self, values: np.ndarray) -> np.ndarray:
@@ -90,7 +91,7 @@ class ConvexSet(Brief):
 def _is_indefinite(entries: np.ndarray) -> np.ndarray:
     """Return where symmetric matrices of ten entries (10, ..) have a pivot that is not positive (Sylvester)."""
     a, b, c, d, e, f, g, h, i, j = entries
-    with np.errstate(all="ignore"):  # what follows a pivot of zero counts for nothing
+    with np.errstate(all="ignore"):  # values after a pivot of zero do not count
         x, y, z = b / a, c / a, d / a
         e, f, g, h, i, j = e - x * b, f - x * c, g - x * d, h - y * c, i - y * d, j - z * d
         x, y = f / e, g / e
@@ -99,7 +100,7 @@ def _is_indefinite(entries: np.ndarray) -> np.ndarray:
 
 
 class TruncatedDraws(NamedTuple):
-    """Draws (N, d), the largest memory of a coordinate, and whether the chains have forgotten their start."""
+    """Draws (N, d), the largest autocorrelation of a coordinate, and whether the chains have converged."""
 
     z: np.ndarray
     memory: float
@@ -115,7 +116,7 @@ def sample_truncated_normal(inside: ConvexSet, start: np.ndarray, n: int, rng: n
         n: Number of draws.
         rng: Random numbers.
     """
-    if inside.contains(np.zeros((1, len(start))))[0]:  # where nearly all plain draws are inside, they are the answer
+    if inside.contains(np.zeros((1, len(start))))[0]:  # if nearly all plain draws are inside, they are the result
         z = rng.standard_normal((max(n, _MIN_CHAINS), len(start)))
         kept = z[inside.contains(z)]
         while len(kept) > 0.2 * len(z) and len(kept) < n:
@@ -148,14 +149,14 @@ def _compare(before: np.ndarray, after: np.ndarray) -> tuple[float, float]:
 
 
 def _follow_paths(inside: ConvexSet, z: np.ndarray, rng: np.random.Generator, n: int) -> np.ndarray:
-    """Return where each chain (N, d) is after n paths."""
+    """Return the position of each chain (N, d) after n paths."""
     for _ in range(n):
         z = _follow(inside, z, rng)
     return z
 
 
 def _follow(inside: ConvexSet, z: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return where each chain (N, d) is after one path of a random length."""
+    """Return the position of each chain (N, d) after one path of a random length."""
     constants, gradients = inside.constants, inside.gradients
     begun, z, w = z, z.copy(), rng.standard_normal(z.shape)
     at, speed = z @ gradients, w @ gradients

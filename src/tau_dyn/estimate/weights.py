@@ -1,17 +1,17 @@
-"""How rows are weighed: prior knowledge, columns of unit size, and losses that take bad measurements out of a fit.
+"""Weights of rows: prior knowledge, columns of unit size, and robust losses against bad measurements.
 
     prior     theta_k / s_k = value / s_k          a row of unit noise for each parameter with a `prior_stderr`
     columns   W theta = (W / norm) (norm theta)    a tolerance means the same for a mass in kg and an inertia in kg m^2
     losses    d_k^2 = sum of a measurement's squared residuals, each by its noise;   m of them.
               Huber: w = min(1, c / d);   biweight: w = (1 - (d / c)^2)^2 for d < c, else 0;   rho' = 2 d w, psi = d w.
 
-A measurement is good or bad as a whole, so its weight hangs on its Mahalanobis distance d. `c` is set so that the fit keeps
-`efficiency` of the information where the noise is Gaussian:
+A measurement is good or bad as a whole, so its weight depends on its Mahalanobis distance d. `c` is set so that the fit keeps
+`efficiency` of the information if the noise is Gaussian:
 
     eff = E[psi'(d) / m + (1 - 1 / m) psi(d) / d]^2 / (E[psi(d)^2] / m),   d^2 ~ chi^2_m;
 
-for m = 1 and 95 % the biweight has c = 4.685. A shifted parameter moves the weights too, which makes the covariance larger than
-that of fixed weights. Reference: Huber & Ronchetti 2009, 7 and 8; Maronna et al. 2019, 6.
+for m = 1 and 95 % the biweight has c = 4.685. A shifted parameter changes the weights, too, which makes the covariance larger
+than that of fixed weights. Reference: Huber & Ronchetti 2009, 7 and 8; Maronna et al. 2019, 6.
 """
 
 from __future__ import annotations
@@ -35,31 +35,31 @@ def build_prior_rows(parameters: Parameters) -> tuple[np.ndarray, np.ndarray]:
 
 
 def scale_columns(W: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return columns (N, p) scaled to unit norm, and what they were divided by (p,); 1 for a column of zeros."""
+    """Return columns (N, p) scaled to unit norm, and their divisors (p,); 1 for a column of zeros."""
     norm = np.linalg.norm(W, axis=0)
     norm[norm == 0] = 1.0
     return W / norm, norm
 
 
 def solve_scaled(W: np.ndarray, y: np.ndarray, tolerance: float) -> np.ndarray:
-    """Return the parameters (p,) of columns (N, p) that leave least of `y` (N,).
+    """Return the least-squares parameters (p,) of columns (N, p) for `y` (N,).
 
     Args:
         W: Columns.
-        y: What they are to explain.
+        y: Values to be explained.
         tolerance: Singular value of the unit columns, relative to the largest, below which a direction is left at zero.
     """
     unit, norm = scale_columns(W)
     return np.linalg.lstsq(unit, y, rcond=tolerance)[0] / norm
 
 
-BISQUARE = 4.685  # efficiency 95 % where the noise is Gaussian (Beaton & Tukey 1974)
+BISQUARE = 4.685  # efficiency 95 % if the noise is Gaussian (Beaton & Tukey 1974)
 NORMAL_MAD = 0.6745
 """Median absolute deviation of a normal variable of unit variance."""
 
 
 def estimate_robust_scale(x: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Return each column's deviation (m,) of `x` (n, m) where `mask` holds; a few wild samples do not move it."""
+    """Return each column's deviation (m,) of `x` (n, m) where `mask` holds; robust to a few outliers."""
     found = [np.median(np.abs(x[mask[:, k], k])) if mask[:, k].any() else 0.0 for k in range(x.shape[1])]
     return np.where(np.array(found) > 0, np.array(found) / NORMAL_MAD, 1.0)
 
@@ -80,21 +80,21 @@ def compute_robust_covariance_factor(x: np.ndarray) -> float:
 
 
 LOSSES = ("none", "huber", "biweight")
-EFFICIENCY = 0.95  # of robust weights where the noise is Gaussian, the usual choice (Huber 1981)
+EFFICIENCY = 0.95  # of robust weights if the noise is Gaussian, the usual choice (Huber 1981)
 
 
 def compute_robust_weights(loss: str, distance: np.ndarray, m: int) -> np.ndarray:
-    """Return weights (N,) of measurements at distances (N,) in units of the noise; `m` residuals a measurement."""
+    """Return weights (N,) of measurements at distances (N,) in units of the noise, for `m` residuals per measurement."""
     if loss == "none":
         return np.ones(len(distance))
     return _weight(loss, distance, compute_tuning_constant(loss, m))
 
 
 def estimate_distance_scale(distance: np.ndarray, m: int | np.ndarray) -> float:
-    """Return by how much measurements scatter more than the noise says, from the median; wild ones do not move it.
+    """Return the ratio of the measurements' scatter to the noise, from the median, which is robust to outliers.
 
     Args:
-        distance: Of measurements (N,), in units of the noise.
+        distance: Distances of measurements (N,), in units of the noise.
         m: Independent residuals of a measurement, or of each (N,).
     """
     return float(np.median(distance / np.sqrt(stats.chi2.ppf(0.5, m))))
@@ -102,7 +102,7 @@ def estimate_distance_scale(distance: np.ndarray, m: int | np.ndarray) -> float:
 
 @lru_cache(maxsize=32)
 def compute_tuning_constant(loss: str, m: int, efficiency: float = EFFICIENCY) -> float:
-    """Return the constant `c` of a loss for `m` residuals a measurement."""
+    """Return the constant `c` of a loss for `m` residuals per measurement."""
     if loss not in LOSSES[1:]:
         raise UnknownName("kind of robust weights", loss, LOSSES)
     high = 40.0 + 4 * m

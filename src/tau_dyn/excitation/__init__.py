@@ -1,4 +1,4 @@
-"""Motions designed for identification: the most information within the limits, and what they will tell before anything moves."""
+"""Motions designed for identification: most information within the limits, with the standard errors predicted beforehand."""
 
 from lazy_loader import attach_stub
 

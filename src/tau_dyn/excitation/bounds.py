@@ -1,8 +1,8 @@
-"""What a motion may not do, as numbers that must not exceed zero, with the derivatives that a search needs.
+"""Bounds of a motion as numbers that must not exceed zero, with the derivatives that a search needs.
 
-Each bound is a share of its limit: `|x| / limit - 1`, or the way beyond a range over half of it. Those of states (speed,
-acceleration, force) come from the path and the forces; those of places (the loops' conditioning, the tool's box, passive joints)
-are functions of q alone, differenced joint by joint.
+Each bound is relative to its limit: `|x| / limit - 1`, or the distance beyond a range over half of it. Bounds on states (speed,
+acceleration, force) follow from the path and the forces; bounds on places (the loops' conditioning, the tool's box, passive
+joints) are functions of q alone, differenced joint by joint.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _STEP = 1e-6  # m or rad, of forward differences; places are known to 1e-15 of t
 
 
 class Excess(NamedTuple):
-    """One family of bounds along a path: values (n, m), and what they change with.
+    """One family of bounds along a path: values (n, m), and their derivatives.
 
     `by` lists (kind, joint, derivative (n, m)); kind is 0, 1, 2 for q, v, a.
     """
@@ -40,12 +40,12 @@ class Bounds:
     """The limits of one design.
 
     Attributes:
-        model: The robot, and the friction that forces count.
+        model: The robot, with the friction that forces include.
         low: Lowest positions (na,) [m or rad].
         high: Highest positions (na,).
         speed: Highest speeds (na,).
         acceleration: Highest accelerations (na,).
-        effort: Largest forces (na,), inf for none.
+        effort: Largest forces (na,), inf without a limit.
         condition: Largest conditioning of the loops.
         box: Corners of the tool's box (2, 3) [m], or None.
         passive: Whether passive joints keep the limits of the robot file.
@@ -71,10 +71,10 @@ class Bounds:
         box: np.ndarray | None = None,
         condition: float | None = None,
     ) -> Bounds:
-        """Return the limits of a robot with the usual margin; `reach` (na,) holds where a joint has no range.
+        """Return the limits of a robot with the usual margin; `reach` (na,) limits joints without a range.
 
         Raises:
-            InputError: The tool stands outside its box at home, or the robot has no tool.
+            InputError: The tool is outside its box at home, or the robot has no tool.
         """
         robot = model.robot
         inset = MARGIN / 2 * np.where(np.isfinite(robot.upper - robot.lower), robot.upper - robot.lower, 0.0)
@@ -99,7 +99,7 @@ class Bounds:
     def of_states(
         self, path: MotionProfile, tau: np.ndarray, by_tau: list[tuple[int, int, np.ndarray]]
     ) -> list[Excess]:
-        """Return range, speed, acceleration and force along a path (n, na), whose forces change as `by_tau` says."""
+        """Return bounds on range, speed, acceleration and force along a path (n, na); `by_tau` are the forces' derivatives."""
         middle, half = (self.low + self.high) / 2, (self.high - self.low) / 2
         made = [
             _symmetric("range", 0, path.q - middle, half),
@@ -112,7 +112,7 @@ class Bounds:
         return made
 
     def of_places(self, q: np.ndarray, *, slopes: bool = True) -> list[Excess]:
-        """Return what depends on the place alone, at positions (n, na).
+        """Return the bounds that depend on the place alone, at positions (n, na).
 
         Raises:
             LoopClosureError: A position is out of reach.
@@ -154,7 +154,7 @@ class Bounds:
         return q.astype(int), v.astype(int), middle, half
 
     def _passive(self, q: np.ndarray, slopes: bool) -> Excess:
-        """Return how far passive joints are from the ends of their ranges."""
+        """Return the bounds of passive joints by their ranges."""
         index_q, index_v, middle, half = self._limited
         solver, arrays = _build_closer(self.model.robot)
         if arrays is not None:
@@ -171,7 +171,7 @@ class Bounds:
 
 @lru_cache(maxsize=2)
 def _build_closer(robot: Robot) -> tuple[LoopSolver, LoopArrays | None]:
-    """Return what closes a robot's loops, one by one and many at once."""
+    """Return the solvers of a robot's loops, for one position and for many."""
     solver = LoopSolver(robot)
     joints = list_joints(solver.model)
     return solver, None if joints is None else LoopArrays(solver, joints)

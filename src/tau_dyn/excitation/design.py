@@ -1,9 +1,9 @@
-"""The motion that tells most about a model's parameters within the robot's limits, and what it will tell.
+"""Design of the most informative motion for a model's parameters within the robot's limits, and its predicted errors.
 
-A design is a periodic Fourier series, repeated, then strokes at constant speeds in both directions where there is time for them;
-all of it starts and ends at rest at home. The series is searched (`search.py`) for the criterion over series and strokes
-together; at the end the standard errors are predicted at the log's full rate (`prediction.py`), for the design and for the best
-of the random motions that it started from.
+A design is a periodic Fourier series, repeated, then strokes at constant speeds in both directions if there is time for them;
+all of it starts and ends at rest at home. The search (`search.py`) optimises the series for the criterion over series and
+strokes together; at the end the standard errors are predicted at the log's full rate (`information.py`), for the design and for
+the best of the random motions that it started from.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ from tau_dyn.simulate import (
 
 PERIOD_S = 10.0
 """Length of a period, about [s]."""
-_STROKES_S = 6.0  # s per stroke; a joint that moves slower shows mostly friction
-_MIN_HARMONICS = 3  # of a Fourier series: position, velocity and acceleration apart from each other
+_STROKES_S = 6.0  # s per stroke; a slower joint shows mostly friction
+_MIN_HARMONICS = 3  # of a Fourier series, to separate position, velocity and acceleration
 
 
 class MotionLayout(NamedTuple):
@@ -52,10 +52,10 @@ class MotionLayout(NamedTuple):
 
 
 def lay_out(bounds: Bounds, duration: float, fast_hz: float, share: float) -> MotionLayout:
-    """Return what of the duration [s] is strokes, a share of it, and what is the series, up to a frequency [Hz].
+    """Return the layout of a duration [s]: strokes for a share of it, and the series, up to a frequency [Hz], for the rest.
 
     Raises:
-        InputError: The share is none, or what is left for the series holds too few harmonics.
+        InputError: The share is not from 0 to below 1, or the rest for the series holds too few harmonics.
     """
     if not 0 <= share < 1:
         raise InputError("invalid_value", f"strokes take a share of the duration from 0 to below 1, not {share:g}")
@@ -77,7 +77,7 @@ def lay_out(bounds: Bounds, duration: float, fast_hz: float, share: float) -> Mo
 
 
 def _outside(bounds: Bounds, motion: Trajectory) -> bool:
-    """Return whether strokes break a bound that they do not know of: the tool's box, accelerations, passive joints."""
+    """Return whether strokes violate a bound that their design ignores: the tool's box, accelerations, passive joints."""
     few = motion.every(max(1, motion.n_samples // 600))
     path = MotionProfile(few.q, few.v, few.a)
     found = [*bounds.of_states(path, np.zeros_like(few.q), []), *bounds.of_places(few.q, slopes=False)]
@@ -112,15 +112,15 @@ class ExcitationDesign:
 
     Attributes:
         motion: The motion.
-        prediction: What it will tell.
-        before: What the best random motion that the search started from would tell.
+        prediction: Its predicted standard errors.
+        before: Those of the best random motion that the search started from.
         criterion: Name of the criterion.
         values: The criterion at the start and at the end.
-        evaluations: How often the model was evaluated along a period.
-        seconds: How long the search took [s].
-        finished: Whether the search ended by itself, not by time or by hand.
-        noise: What was assumed.
-        search: What the search did, in a sentence.
+        evaluations: Number of evaluations of the model along a period.
+        seconds: Duration of the search [s].
+        finished: Whether the search converged, instead of being stopped by time or by the user.
+        noise: The assumed noise.
+        search: Summary of the search in a sentence.
     """
 
     motion: Trajectory
@@ -156,25 +156,25 @@ def design_motion(
     """Design a motion.
 
     Args:
-        model: What shall be identified; its values give forces and what errors are compared with.
+        model: The model to be identified; its values give the forces and the scales of errors.
         duration: Length [s], 4 to 3600.
-        seed: Of the random motions that the search starts from.
+        seed: Seed of the random motions that the search starts from.
         criterion: 'worst' (largest relative error), 'd' (volume of the confidence ellipsoid) or 'condition'.
-        noise: Of forces and encoders; by default that of good drives.
+        noise: Noise of forces and encoders; by default that of good drives.
         trials: Random motions to start from.
-        fast_hz: Nothing in the periodic part is faster [Hz].
-        strokes: Share of the duration for strokes at constant speeds; none below 6 s of them.
-        speed: Highest speeds, one or one a joint; by default 90 % of the limit, at most 1 m/s or 2 rad/s.
-        acceleration: Highest accelerations; by default 6 times the highest speed a second.
+        fast_hz: Highest frequency of the periodic part [Hz].
+        strokes: Share of the duration for strokes at constant speeds; they are omitted if it is below 6 s.
+        speed: Highest speeds, one for all joints or one for each; by default 90 % of the limit, at most 1 m/s or 2 rad/s.
+        acceleration: Highest accelerations; by default 6 times the highest speed per second.
         box: Lowest and highest corner of the tool's box (6,) [m].
         condition: Largest conditioning of the loops; by default five times home's, at least 20.
         seconds: Time for the search [s].
-        rate_hz: Rate of the log to come [Hz], where no noise is given.
-        progress: Called with a sentence now and then.
+        rate_hz: Rate of the log to come [Hz], if no noise is given.
+        progress: Callback that receives a sentence from time to time.
 
     Raises:
-        InputError: Something asked for cannot be, or the limits leave no motion.
-        CannotAnswer: No free parameter shows.
+        InputError: An argument is invalid, or the limits permit no motion.
+        CannotAnswer: No free parameter affects the forces.
     """
     begun = time.monotonic()
     _refuse(criterion, trials, duration)
@@ -215,7 +215,7 @@ def design_motion(
             )
             for k, motion in enumerate(motions)
         )
-    except KeyboardInterrupt:  # who will not wait for the simulation
+    except KeyboardInterrupt:  # the user stopped the simulation
         told, before = (predict(model, motion, noise, seed) for motion in motions)
     return ExcitationDesign(
         motions[0] if finished else replace(motions[0], notes=(_STOPPED,)),
@@ -256,10 +256,10 @@ def _bounds(
 
 
 def _searched(search: MotionSearch, rng: np.random.Generator, trials: int) -> tuple[np.ndarray | None, float, bool]:
-    """Search until it settles, time is up or the user had enough.
+    """Search until it converges, the time is over or the user stops it.
 
     Returns:
-        Coefficients and criterion of the random motion that it started from, and whether it settled.
+        Coefficients and criterion of the random motion that it started from, and whether the search converged.
     """
     finished = True
     try:
@@ -292,7 +292,7 @@ def _generic(model: Model, series: Series, samples: int, rng: np.random.Generato
 
 
 def _information(model: Model, noise: Noise, fast_hz: float, path: MotionProfile) -> Information:
-    """Return what makes rows; filters are guessed as identification will choose them."""
+    """Return the builder of white rows, with the filters that identification will probably choose."""
     force_hz = min(_BAND * fast_hz, 0.16 * noise.rate_hz)
     position_hz = min(8 * force_hz, 0.4 * noise.rate_hz)
     gain = 2 * np.pi * position_hz * np.sqrt(2 * position_hz / noise.rate_hz / 3)  # of white encoder noise, low-passed
@@ -326,7 +326,7 @@ _MINIMISED = {
     "d": "minus the mean log information",
     "condition": "half the log of the condition number",
 }
-"""What each criterion makes small."""
+"""Value that each criterion minimises, in words."""
 
 
 def _describe_search(search: MotionSearch, criterion: str, before: float, seconds: float) -> str:

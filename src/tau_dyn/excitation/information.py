@@ -1,9 +1,9 @@
-"""The information a motion carries about the parameters, what makes it good, and the derivatives that a search needs.
+"""Fisher information of a motion about the parameters, criteria of its quality, and the derivatives that a search needs.
 
     M = sum over samples and joints  g_j y_j y_j' / sigma_j^2,      y_j the row of joint j's base regressor
 
-`g_j` in [0, 1] is what identification leaves of a sample: nothing where the joint is slow or about to reverse, as the sign of
-its friction is not sure there. A motion is a linear map of its coefficients, so M's derivative needs the regressor's by each
+`g_j` in [0, 1] is the weight of a sample in identification: zero if the joint is slow or about to reverse, as the sign of its
+friction is not sure there. A motion is a linear map of its coefficients, so M's derivative needs the regressor's by each
 joint's position, speed and acceleration only: 3 na extra regressors, however many coefficients there are. They are finite
 differences of the vectorised mechanism, effects included. A criterion gives its value and `Gamma = d value / d M`, symmetric:
 
@@ -11,16 +11,16 @@ differences of the vectorised mechanism, effects included. A criterion gives its
     condition  log cond of M with unit diagonal, halved: of the regressor with unit columns
     worst      log of the largest relative standard error, smoothly: (1 / p) log sum_k (s_k / scale_k)^p
 
-The determinant has a gradient everywhere and does not depend on units; a condition number has none where two singular values
-meet, and bounds no standard error. Reference: Kiefer & Wolfowitz 1960; Gautier & Khalil 1992; Swevers et al. 1997;
+The determinant has a gradient everywhere and does not depend on units; a condition number has no gradient if two singular values
+are equal, and bounds no standard error. Reference: Kiefer & Wolfowitz 1960; Gautier & Khalil 1992; Swevers et al. 1997;
 Ljung 1999, 13.
 
-Standard errors before anything moves: the estimate's own covariance, of a recording that is only computed.
+**Predicted standard errors** are the covariance of an estimate from a computed recording.
 
 Along the motion, at the log's rate, the model gives the forces, with or without a simulated controller; noise is added to forces
 and positions; the rest is identification as it will be done: its filters, its gate around reversals, its base parameters, its
-coloured-noise covariance. What is not in it is what no design can know: friction that is not the model's law. The noise's draw
-moves the errors by up to 20 %, the more the shorter the motion, as it will on the robot.
+coloured-noise covariance. The prediction lacks friction that deviates from the model's law, which no design can know. The
+draw of the noise changes the errors by up to 20 %, more for a shorter motion, as on the robot.
 
 Force noise is taken as white at the log's rate. A joint's encoder noise of standard deviation s_q makes, through the
 acceleration that is differentiated from it, a force of density `m^2 (2 pi f)^4 s_q^2`; over a band up to f it weighs as much
@@ -44,7 +44,7 @@ from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 from tau_dyn.simulate import MotionProfile, Sensors, Trajectory, simulate
 
-_POWER = 12.0  # of the p-norm that stands for the largest singular value, smooth where two are equal
+_POWER = 12.0  # of the p-norm that replaces the largest singular value, smooth if two are equal
 
 Criterion = Callable[[np.ndarray, np.ndarray], tuple[float, np.ndarray]]
 """From M (r, r) and the parameters' scales (r,) to a value and its derivative (r, r)."""
@@ -86,7 +86,7 @@ CRITERIA: dict[str, Criterion] = {
     "condition": compute_condition_criterion,
     "worst": compute_largest_error,
 }
-"""Every criterion by the name that the command line takes."""
+"""Criteria by their names on the command line."""
 
 
 def _unit(M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -100,13 +100,13 @@ def _eigen(S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 STEP = 1e-6
-"""Of the finite differences [m or rad, a second, a second squared]."""
+"""Step of the finite differences of positions [m or rad], speeds [per s] and accelerations [per s^2]."""
 _UNKNOWN = 0.05  # share of the force that a parameter may take and still count as unknown
 
 
 @dataclass(frozen=True, eq=False)
 class InformationRows:
-    """What one evaluation of the model gives along a path (n, na).
+    """Result of one evaluation of the model along a path (n, na).
 
     Attributes:
         Y: White rows of the base regressor (n, na, r).
@@ -119,15 +119,15 @@ class InformationRows:
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """Makes white rows of one model's base parameters.
+    """Builder of white rows of one model's base parameters.
 
     Attributes:
-        model: Without effects that a single state does not determine.
-        base: Of the free parameters, over the states of a random path.
-        sigma: Force noise of each joint that weighs all there is (na,).
+        model: The model without effects that a single state does not determine.
+        base: Base parameters of the free parameters, over the states of a random path.
+        sigma: Force noise of each joint, equivalent to all its noise (na,).
         window_s: Time around a reversal that identification leaves out, to each side [s].
         slow: Slowest speed with a sure sign (na,).
-        scale: What each base parameter's error is counted in (r,); see `compute_parameter_scales`.
+        scale: Unit of each base parameter's error (r,); see `compute_parameter_scales`.
     """
 
     model: Model
@@ -142,7 +142,7 @@ class Information:
         """Find the base parameters on the states of a path (n, na).
 
         Raises:
-            CannotAnswer: No free parameter shows in the forces.
+            CannotAnswer: No free parameter affects the forces.
         """
         model = model.steady()
         free = [p for p in model.parameters if p.free]
@@ -166,7 +166,7 @@ class Information:
 
     @property
     def prior(self) -> np.ndarray:
-        """Information that is there beforehand (r, r): parameters measured by other means."""
+        """Prior information (r, r): parameters measured by other means."""
         rows = [self.model.parameters[self.base.names[k]].prior_stderr for k in self.base.kept]
         return np.diag([1 / float(s) ** 2 if s else 0.0 for s in rows])
 
@@ -181,7 +181,7 @@ class Information:
         return InformationRows(Y, columns @ self.model.parameters.values)
 
     def derivatives(self, path: MotionProfile, at: InformationRows) -> list[tuple[int, int, np.ndarray, np.ndarray]]:
-        """Return, for each of q, v, a (0, 1, 2) and each joint, how rows and forces change with it."""
+        """Return the derivatives of rows and forces by each of q, v, a (0, 1, 2) of each joint."""
         out = []
         for kind in range(3):
             for j in range(path.q.shape[1]):
@@ -193,10 +193,10 @@ class Information:
 
 
 def compute_parameter_scales(values: np.ndarray, units: Sequence[str], W: np.ndarray, tau: np.ndarray) -> np.ndarray:
-    """Return what errors of parameters (r,) are compared with.
+    """Return the scales (r,) that errors of parameters are compared with.
 
-    That is the value; of a small one a tenth of the largest of its unit; where a unit has no value at all (friction before
-    it was ever measured) what would make a twentieth of the rms force.
+    The scale is the parameter's value, or a tenth of the largest value of its unit if that is larger. If all values of a unit are
+    zero (friction before any measurement), it is the value that would make a twentieth of the rms force.
 
     Args:
         values: The parameters (r,).
@@ -223,13 +223,13 @@ PER_JOINT = "one number, or one for each of the {} actuated joints"
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """Standard deviations of what is logged.
+    """Standard deviations of the noise of a log.
 
     Attributes:
-        force: Of forces (na,) [N or N m].
-        encoder: Of positions (na,) [m or rad].
+        force: Standard deviation of forces (na,) [N or N m].
+        encoder: Standard deviation of positions (na,) [m or rad].
         rate_hz: Rate of the log [Hz].
-        source: Where the numbers came from, in words.
+        source: Origin of the numbers, in words.
     """
 
     force: np.ndarray
@@ -246,10 +246,10 @@ class Noise:
         rate_hz: float = 1000.0,
         source: str = "given",
     ) -> Noise:
-        """Return noise of one number for all joints or one a joint each.
+        """Return noise from one number for all joints or one for each.
 
         Raises:
-            InputError: Another number of them, or a force noise that is not above zero.
+            InputError: Their number is wrong, or a force noise is not above zero.
         """
         na, found = robot.na, []
         for name, values in (("force", force), ("encoder", encoder)):
@@ -265,7 +265,7 @@ class Noise:
 
     @classmethod
     def typical(cls, model: Model, tau: np.ndarray, rate_hz: float = 1000.0) -> Noise:
-        """Return a good industrial drive's: 1 % of the rms of forces (n, na), and half an encoder step; see `Sensors`."""
+        """Return the noise of a good industrial drive: 1 % of the forces' rms (n, na), half an encoder step; see `Sensors`."""
         sensors = Sensors.typical(model.robot)
         rms = np.sqrt(np.mean(tau**2, axis=0))
         force = np.maximum(0.01 * rms, 1e-3 * float(rms.max(initial=0.0)))
@@ -274,22 +274,22 @@ class Noise:
         return cls(force, step.copy(), rate_hz, "typical of good drives: 1 % of the rms force, half an encoder step")
 
     def weighing(self, model: Model, band_hz: float) -> np.ndarray:
-        """Return the force noise (na,) that weighs as much as forces and encoders together, up to a frequency [Hz]."""
+        """Return the force noise (na,) equivalent to the noise of forces and encoders together, up to a frequency [Hz]."""
         inertia = np.diagonal(model.mechanism.inertia(model.robot.home[None])[0])
         return np.hypot(self.force, inertia * (2 * np.pi * band_hz) ** 2 * self.encoder / np.sqrt(5))
 
 
 @dataclass(frozen=True, eq=False)
 class InformationPrediction:
-    """What one motion will tell.
+    """Predicted standard errors of a motion.
 
     Attributes:
         names: Base parameters' first names (r,).
-        expressions: The base parameters in words (r,); equal to the name where one stands alone.
+        expressions: The base parameters in words (r,); equal to the name for a single parameter.
         units: Their units (r,).
         values: The model's values (r,).
         stderr: Standard errors (r,).
-        scale: What errors are compared with (r,); see `compute_parameter_scales`.
+        scale: Scales that errors are compared with (r,); see `compute_parameter_scales`.
         condition: Condition number of the regressor with unit columns, as identification will report it.
     """
 
@@ -313,7 +313,7 @@ class InformationPrediction:
         return self.expressions[k], float(self.relative[k])
 
     def rows(self) -> list[Mapping[str, Any]]:
-        """Return one plain row a base parameter."""
+        """Return one plain row for each base parameter."""
         made = zip(self.names, self.expressions, self.units, self.values, self.stderr, strict=True)
         return [
             {
@@ -342,14 +342,14 @@ def predict(
     Args:
         model: Robot and effects at their likely values; effects that need more than a state are left out.
         motion: The motion.
-        noise: Of forces and encoders, and the log's rate.
-        seed: Of the noise.
+        noise: Noise of forces and encoders, and the log's rate.
+        seed: Seed of the noise.
         driven: Whether the robot is simulated with its controller, which takes seconds; else it follows the motion exactly, which
-            is enough to compare motions but misses what drives add (held forces, feedback of the encoders' noise).
-        progress: Is told the share of the simulation that is done.
+            is enough to compare motions but lacks effects of drives (held forces, feedback of the encoders' noise).
+        progress: Callback that receives the finished share of the simulation.
 
     Raises:
-        CannotAnswer: The motion tells nothing: too slow, too short.
+        CannotAnswer: The motion carries no information: too slow or too short.
     """
     model = model.steady()
     log = (
@@ -369,7 +369,7 @@ def predict(
 
 
 def predict_ideal_log(model: Model, motion: Trajectory, noise: Noise, seed: int = 0) -> Log:
-    """Return the log that a robot would leave that follows the motion exactly."""
+    """Return the log of a robot that follows the motion exactly."""
     moved, rng = motion.resampled(noise.rate_hz), np.random.default_rng(seed)
     tau = model.torque(moved.q, moved.v, moved.a)
     shape, channels = tau.shape, {}
@@ -387,7 +387,7 @@ def simulate_log(
     seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Log:
-    """Return the log that a simulated robot leaves, with its controller; one that it cannot follow is imagined instead."""
+    """Return the log of a simulated robot with its controller; for a motion that it cannot follow, the ideal log."""
     sensors = Sensors(force_noise=noise.force.tolist(), encoder_noise=noise.encoder.tolist())
     try:
         return simulate(model, motion, sensors=sensors, seed=seed, rate_hz=noise.rate_hz, progress=progress)
@@ -396,20 +396,20 @@ def simulate_log(
 
 
 def estimate_log_noise(model: Model, log: Log, rate_hz: float) -> Noise:
-    """Return the noise that a recording shows: encoders' own, and what a fit of the model leaves of the forces.
+    """Return the noise of a recording: that of the encoders, and the residual of the forces after a fit of the model.
 
     Args:
-        model: What is fitted.
-        log: With `q_J` and `tau_J`.
+        model: The fitted model.
+        log: Log with `q_J` and `tau_J`.
         rate_hz: Rate of the log to come [Hz].
 
     Raises:
         InputError: The log lacks a column.
-        CannotAnswer: It is too dull for the model.
+        CannotAnswer: Its excitation is too poor for the model.
     """
     model = model.steady()
     estimate = solve_least_squares(build_regression(model, [log]))
     cutoff = float(estimate.regression.preparation.force_cutoff_hz)
-    force = estimate.sigma * np.sqrt(rate_hz / (2 * cutoff))  # white, of the density that is left below the low-pass
+    force = estimate.sigma * np.sqrt(rate_hz / (2 * cutoff))  # white, with the residual's density below the low-pass
     encoder = estimate_encoder_noise(log.joint("q", model.robot.actuated))
     return Noise.given(model.robot, force, encoder, rate_hz, f"what a fit leaves of {log.name}")

@@ -1,17 +1,17 @@
-"""The search itself: coefficients of a Fourier series that make a criterion smallest while all bounds hold.
+"""Search for the coefficients of a Fourier series that minimise a criterion while all bounds hold.
 
     q_j(t) = home_j + sum_h a_jh sin(h w t) + b_jh (cos(h w t) - 1),   w = 2 pi / period,   h = 1 .. harmonics
 
 with `sum_h h a_jh = 0` (no speed at t = 0) and `sum_h h^2 b_jh = 0` (no acceleration): the motion starts from rest, stops after
-any number of whole periods, and contains nothing above its highest harmonic (Swevers et al. 1997). What is searched is
+any number of whole periods, and contains no frequency above its highest harmonic (Swevers et al. 1997). The problem is
 
     minimise  criterion(M(x)) + sum over bounds  mean over samples  (mu / 2) max(0, c + lambda / mu)^2
 
-an augmented Lagrangian with exact gradients, each round by L-BFGS; multipliers and `mu` grow until what is left of the bounds
-is within the margin's slack. The last step is to scale the motion about home until every bound holds on a fine grid. The search
-may be stopped at any time; the best motion that keeps all bounds is what it hands back.
+an augmented Lagrangian with exact gradients, each iteration by L-BFGS; multipliers and `mu` grow until the excess over the bounds
+is within the margin's slack. Finally the motion is scaled about home until every bound holds on a fine grid. The search may be
+stopped at any time; it returns the best motion that keeps all bounds.
 
-Where a motion is put together of pieces, their information adds up, and one piece is exchanged at a time until nothing helps.
+If a motion is composed of pieces, their information adds up, and one piece is exchanged at a time until there is no improvement.
 Reference: Nocedal & Wright 2006, ch. 17; Fedorov 1972 (exchange).
 """
 
@@ -36,11 +36,11 @@ class Series:
     """The family of motions that is searched.
 
     Attributes:
-        home: Where every period starts (na,) [m or rad].
-        reach: How far each joint may go (na,) [m or rad]; the size of a coefficient of one.
-        period: [s].
+        home: Positions at the start of every period (na,) [m or rad].
+        reach: Largest displacement of each joint (na,) [m or rad]; the size of a coefficient of one.
+        period: Length of a period [s].
         harmonics: Number of harmonics, at least 2.
-        periods: How often the period is repeated.
+        periods: Number of periods.
     """
 
     home: np.ndarray
@@ -89,35 +89,35 @@ class Series:
         return 0.3 * rng.standard_normal(self.shape)
 
 
-MAX_ITERATIONS = 6  # rounds of the augmented Lagrangian; bounds hold to 1 % after three to five
-ITERATIONS = 40  # of L-BFGS within a round; a round need not converge
-_SLACK = 0.01  # share by which a bound may be exceeded between rounds; the last step scales the motion
+MAX_ITERATIONS = 6  # iterations of the augmented Lagrangian; bounds hold to 1 % after three to five
+ITERATIONS = 40  # of L-BFGS within an iteration; it need not converge
+_SLACK = 0.01  # share by which a bound may be exceeded between iterations; the last step scales the motion
 _FIRST_MU, _GROWTH = 10.0, 5.0
 _UNREACHABLE = 1e6  # a cost above any that a motion within reach has
 _FINE = 4  # times finer than the samples bounds are checked at
 _STARTING = 0.2
-"""Share of the time that random motions may take."""
+"""Share of the time for random motions."""
 
 
 class Stopped(Exception):
-    """Time is up, or the user had enough."""
+    """The deadline passed, or the user stopped the search."""
 
 
 @dataclass(eq=False)
 class MotionSearch:
-    """One search; `best` is what it would hand back now.
+    """One search; `best` is its current result.
 
     Attributes:
         series: The family of motions.
-        information: Makes the regressor's rows.
-        bounds: What a motion may not do.
-        criterion: What is made small.
-        added: Information of motion that is driven besides, per run (r, r).
+        information: Builder of the regressor's rows.
+        bounds: Bounds of a motion.
+        criterion: The criterion to be minimised.
+        added: Information in addition to the series (prior, strokes), per run (r, r).
         rate_hz: Rate of the log to come [Hz].
         samples: Grid of one period.
-        deadline: When to stop, on the monotonic clock [s].
-        progress: Called with a sentence now and then.
-        evaluations: How often the model was evaluated.
+        deadline: Time at which the search stops, on the monotonic clock [s].
+        progress: Callback that receives a sentence from time to time.
+        evaluations: Number of evaluations of the model.
         best: Coefficients (na, k) of the best motion that keeps all bounds; None before there is one.
         value: Its criterion.
     """
@@ -163,7 +163,7 @@ class MotionSearch:
                 break
 
     def improve(self, x: np.ndarray) -> None:
-        """Search from coefficients (na, k) until nothing improves or the deadline passes.
+        """Search from coefficients (na, k) until there is no improvement or the deadline passes.
 
         Raises:
             Stopped: The deadline passed.
@@ -228,7 +228,7 @@ class MotionSearch:
         return np.zeros_like(excess.values) if known is None else known
 
     def _update(self, x: np.ndarray) -> float:
-        """Take over what the bounds push back with, press harder, and return the largest excess that is left."""
+        """Update the multipliers, increase the penalty, and return the largest remaining excess."""
         path = self.series.path(self._waves, x)
         rows, most = self.information.rows(path, steep=False), 0.0
         for excess in [*self.bounds.of_states(path, rows.tau, []), *self.bounds.of_places(path.q, slopes=False)]:
@@ -245,7 +245,7 @@ class MotionSearch:
             self.best, self.value = share * x, value
 
     def share(self, x: np.ndarray) -> float:
-        """Return the largest share of a motion, to 0.5 %, that keeps all bounds on a fine grid; 0 for none."""
+        """Return the largest share of a motion, to 0.5 %, that keeps all bounds on a fine grid; 0 without any."""
         t = self.series.period * np.arange(_FINE * self.samples) / (_FINE * self.samples)
         waves = self.series.waves(t)
         low, high = 0.0, 1.0
@@ -257,7 +257,7 @@ class MotionSearch:
         return low
 
     def _holds(self, path: MotionProfile) -> bool:
-        """Return whether a path keeps all bounds: what is cheap first, forces on the coarse grid."""
+        """Return whether a path keeps all bounds: cheap bounds first, forces on the coarse grid."""
         if not _kept(self.bounds.of_states(path, np.zeros_like(path.q), [])):
             return False
         few = MotionProfile(*(y[::_FINE] for y in path))
@@ -280,9 +280,9 @@ def choose_by_exchange(merit: Callable[[np.ndarray], float], information: np.nda
     """Return the pieces, with repetition, whose information adds up to the largest merit.
 
     Args:
-        merit: What is made large, of an information matrix (r, r): determined parameters, or causes told apart.
+        merit: Function of an information matrix (r, r) to be maximised: determined parameters, or separated causes.
         information: Information of each piece (n, r, r).
-        number: How many pieces are chosen.
+        number: Number of pieces to choose.
     """
     merits = [merit(number * one) for one in information]
     chosen, best = [int(np.argmax(merits))] * number, max(merits)

@@ -1,11 +1,12 @@
-r"""Bands that hold 90 % of what a log will measure, from training data alone, and how many held-out samples they hold.
+r"""Predictive bands for 90 % of a log's forces, from training data alone, and the share of held-out samples in them.
 
     y - W theta  in  [m - hypot(m - l, z s),  m + hypot(u - m, z s)]
 
-`l, m, u`: quantiles at 5, 50 and 95 % of each output's cross-validated residual: every log in turn (of fewer than three logs
-every fifth of each) is predicted by least squares on the others, so noise, its colour and what the model misses on data it was
-not fitted to all count. `s` is the parameters' standard error in the prediction beyond its mean over the training data, which
-the cross-validation holds already: it widens the band where a motion asks what the logs do not tell. Reference: Stone 1974.
+`l, m, u`: quantiles at 5, 50 and 95 % of each output's cross-validated residual: every log in turn (with fewer than three logs,
+every fifth of each) is predicted by least squares on the others. The residuals therefore contain the noise, its colour and the
+model error on data that were not fitted. `s` is the parameters' standard error in the prediction beyond its mean over the
+training data, which the cross-validation contains already: it widens the band at motions that excite parameters that the logs
+do not determine. Reference: Stone 1974.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ from tau_dyn.identify.widening import compute_data_covariance, measure_logs
 from tau_dyn.results import Brief
 
 BAND_LEVEL = 0.90
-"""Share of the samples that a band is made to hold."""
-_FOLDS = 5  # parts of each log that are left out in turn, where there are fewer than three logs
+"""Share of the samples that a band should contain."""
+_FOLDS = 5  # parts of each log that are left out in turn, if there are fewer than three logs
 _MIN_LOGS = 3  # from which whole logs are left out
 _Z = float(stats.norm.ppf((1 + BAND_LEVEL) / 2))
-_REFIT_TOLERANCE = 1e-10  # relative singular value below which the other folds tell nothing of a direction
+_REFIT_TOLERANCE = 1e-10  # relative singular value below which the other folds do not determine a direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,12 +35,12 @@ class PredictiveBands(Brief):
 
     Attributes:
         joints: Outputs.
-        lower: Lower ends of the residual of each run (n, m), NaN where there is none to make them of.
+        lower: Lower ends of the residual of each run (n, m), NaN for an output without training samples.
         upper: Upper ends.
         inside: Used samples within their band, by joint (m,).
         used: Used samples, by joint (m,).
-        inside_all: Samples within their band, none left out, by joint (m,).
-        all: All samples, by joint (m,).
+        inside_all: Samples within their band, masked ones included, by joint (m,).
+        all: All samples, masked ones included, by joint (m,).
         width: Mean width over the used samples, by joint (m,) [N or N m].
     """
 
@@ -73,15 +74,15 @@ class PredictiveBands(Brief):
 
 
 def build_predictive_bands(estimate: Estimate, held: Regression, theta: np.ndarray) -> PredictiveBands | None:
-    """Return the bands of held-out data by an estimate of other data.
+    """Return the bands of held-out data from an estimate on other data.
 
     Args:
-        estimate: Of the training data alone.
+        estimate: Estimate on the training data alone.
         held: The held-out rows; their columns are named like `theta`.
         theta: The estimate as the held-out model's parameters (p,).
 
     Returns:
-        None where the rows of either are not in memory.
+        The bands, or None if the rows of either data set are not in memory.
     """
     if held.everything is not None or estimate.regression.everything is not None:
         return None
@@ -109,7 +110,7 @@ def build_predictive_bands(estimate: Estimate, held: Regression, theta: np.ndarr
 
 
 def _widen(W: np.ndarray, names: tuple[str, ...], kept: list[str], C: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Return by how much parameters' errors widen the squared half width at rows (n, m, p), beyond the mean of the training."""
+    """Return the parameters' contribution to the squared half width at rows (n, m, p), beyond its mean in the training."""
     return _Z**2 * np.maximum(_compute_variance(W, names, kept, C) - mean, 0.0)
 
 

@@ -1,6 +1,6 @@
-"""Copies by content: whether two logs hold the same measured samples, whatever their clocks, rates and digits.
+"""Copies by content: test whether two logs hold the same measured samples, for any clocks, rates and digits.
 
-A robot that repeats a motion gives nearly the same positions and forces, so that alike signals prove little. Noise never
+A robot that repeats a motion gives nearly the same positions and forces, so that similar signals prove little. Noise never
 repeats: two logs hold the same samples if they share the *noise* of their forces. Three steps, the cheap ones first:
 
 1. **Equal rows.** Rows of q and tau are hashed; consecutive rows that occur in the other log, in the same order and in equal
@@ -9,12 +9,12 @@ repeats: two logs hold the same samples if they share the *noise* of their force
    on a coarse grid; a Gauss-Newton step on the positions brings the offset to a small part of a sample.
 3. **Comparison** at that offset, on the clock of the slower log: values equal to half a step of the coarser rounding, or
    shared noise. Both forces pass one whitening filter (autoregression). `r` is their correlation at the frequencies of the
-   noise floor, in the quieter half of short windows. A floor has to be flat and even in time, as noise is: gear ripple and
+   noise floor, in the quieter half of short windows. A floor has to be flat and even in time, as noise is; gear ripple and
    reversals, which a motion repeats, are not. Independent noise has r = 0, a copy with added noise n times its own has
    `r = 1 / sqrt(1 + n^2)`. A repeated motion also leaves a slow difference of the forces (friction, temperature, tracking);
    added noise and rounding leave a white one, resampling one that grows with frequency and needs no floor.
 
-Whoever cannot see a noise floor in the forces (10 Hz, gear ripple far above the noise) sees no re-noised copy either.
+If the forces show no noise floor (10 Hz, gear ripple far above the noise), a re-noised copy is not detected.
 Scales, signs and offsets of columns are free in 2 and in the shared noise of 3.
 """
 
@@ -53,7 +53,7 @@ MAX_SLOW_EXCESS = 3.0
 A mean over 32 bins of white noise exceeds 3 with a probability below 1e-9."""
 
 RESAMPLING_EXCESS = 0.1
-"""The same density ratio below which a difference is an interpolation error, which grows with frequency; no noise is like it."""
+"""The same density ratio below which a difference is an interpolation error, which grows with frequency; noise does not."""
 
 FLOOR_RATIO = 4.0
 """Density of a noise floor over its least value: white noise and a first-order low-pass to twice its corner."""
@@ -64,7 +64,7 @@ MIN_FLOOR_SHARE = 0.4
 MAX_UNEVENNESS = 1.6
 """Median over 10 % quantile of the floor's energy in short windows, over the same ratio of white noise.
 
-Noise is even in time; gear ripple and reversals, which a motion repeats, come and go with the speed."""
+Noise is even in time; gear ripple and reversals, which a motion repeats, vary with the speed."""
 
 MIN_FLOOR_WINDOWS = 30
 """Windows from which these two ratios are known to about a fifth."""

@@ -1,7 +1,8 @@
-"""What a fit is made from, in memory or on disk: the same questions to both.
+"""Data of a fit, in memory or on disk, behind the same interface.
 
-Logs in memory become a `Regression` that holds every row. As soon as one recording is larger than that, all go block by
-block (`streaming.py`), and the regression holds their totals; estimates, errors and warnings are made from either alike.
+Logs in memory become a `Regression` that holds every row. If one recording is too large for memory, all recordings are processed
+block by block (`streaming.py`), and the regression holds their totals. Estimates, errors and warnings are made from both forms
+in the same way.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ Logs: TypeAlias = LogSource | Recording | Iterable[LogSource | Recording]
 """One log or several: each a log, a recording on disk, the path of a file, or a table."""
 
 _CHANNEL_FAULTS = ("frozen", "clipping")
-"""What a fit does not notice by itself."""
+"""Codes of channel faults that a fit does not detect by itself."""
 
 _NOT_MENDED = "This is of the middle of a recording larger than memory, which is used as it is."
 
@@ -64,7 +65,7 @@ def get_log_list(logs: Logs) -> list[Log | Recording]:
     """Return one log or many as a list; paths are read, and tables become logs; see `as_log`.
 
     Raises:
-        InputError: One of them is no log.
+        InputError: One of them is not a log.
     """
     if isinstance(logs, Log | Recording | str | Path | DataTable) or not isinstance(logs, Iterable):
         return [as_log(logs)]
@@ -89,7 +90,7 @@ def _describe_source(log: Log | Recording) -> dict[str, Any]:
 def drop_repeated_logs(train: Sequence[Kind], held: Sequence[Kind]) -> tuple[list[Kind], list[Kind], list[str]]:
     """Return logs to train on and held-out logs with no samples twice, and a warning about each log that is left out.
 
-    The same samples twice would look like twice the evidence; errors on logs that are also trained on are not held-out errors.
+    Repeated samples would count as double evidence; errors on logs that are also trained on are not held-out errors.
     """
     trained, doubled = _keep_once(train)
     both = [log for log in held if any(has_common_samples(log, other) for other in trained)]
@@ -106,7 +107,7 @@ def drop_repeated_logs(train: Sequence[Kind], held: Sequence[Kind]) -> tuple[lis
 
 
 def _keep_once(logs: Sequence[Kind]) -> tuple[list[Kind], list[str]]:
-    """Return the logs without repetitions, and what is said of those."""
+    """Return the logs without repetitions, and a warning for each repeated log."""
     once: list[Kind] = []
     doubled = []
     for log in logs:
@@ -125,7 +126,7 @@ def _name_original(log: Log | Recording, others: Sequence[Log | Recording]) -> s
 
 
 def log_warnings(robot: Robot, logs: Sequence[Log]) -> list[str]:
-    """Return what is doubtful about the logs' pieces; of many alike from one file the first two and their number."""
+    """Return warnings about the logs' pieces; for many similar ones from one file, the first two and their number."""
     found: list[str] = []
     for name in dict.fromkeys(log.name for log in logs):
         pieces = [log for log in logs if log.name == name]
@@ -144,7 +145,7 @@ def _some(said: list[str], name: str) -> list[str]:
 
 
 def _channel_warnings(robot: Robot, log: Log) -> list[str]:
-    """Return what is wrong with the channels of a log, of those that the fit uses; forces at the drives' limits are gated out."""
+    """Return the faults of the channels that the fit uses, without forces at the drives' limits, which are gated out."""
     if log.n_samples < MIN_SEGMENT_SAMPLES:
         return []
     columns = {f"{signal}_{joint}" for signal in ("q", "tau") for joint in robot.driven}
@@ -162,7 +163,7 @@ def _channel_warnings(robot: Robot, log: Log) -> list[str]:
 
 
 def require_forces(robot: Robot, logs: Sequence[Log | Recording]) -> None:
-    """Refuse logs that hold positions and no force at all, and name what would do.
+    """Refuse logs that hold positions but no force, and list the columns that are needed.
 
     Raises:
         InputError: A log has no force of any actuated joint.
@@ -179,12 +180,12 @@ def require_forces(robot: Robot, logs: Sequence[Log | Recording]) -> None:
 
 
 def _mend(log: Log, robot: Robot) -> Log:
-    """Return a log with its lost samples as gaps; feet that touch down make all joints leap, so a walker's are not looked for."""
+    """Return a log with its lost samples as gaps, except for a walker: its joints jump when feet touch down."""
     return log if robot.base_coordinates else mend_log(log, robot.actuated)
 
 
 TRAIN_SHARE = 0.7
-"""Where no held-out log is given, a fit of this first part of each log predicts the rest."""
+"""If no held-out log is given, a fit of this first part of each log predicts the rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,16 +193,16 @@ class Data:
     """Logs for one model.
 
     Attributes:
-        model: What is fitted to them.
+        model: The model that is fitted to them.
         logs: The logs.
-        pieces: Even stretches of logs in memory; none where one of the logs is a recording on disk.
+        pieces: Even stretches of logs in memory; empty if one of the logs is a recording on disk.
         preparation: Filters and masks; None to choose them from the logs.
         exclude: Columns whose nonzero samples are left out.
         factors: Factor of an output's measurements, by name.
         campaigns: Names of logs that are numbered before these.
         per_log: Parameters that have a value per log.
-        engine: Who computes blocks.
-        progress: Told how far it is.
+        engine: Executor that computes the blocks.
+        progress: Callback that receives the progress.
     """
 
     model: Model
@@ -217,7 +218,7 @@ class Data:
 
     @classmethod
     def of(cls, model: Model, logs: Sequence[Log | Recording], **options: Any) -> Data:
-        """Cut logs in memory into even pieces, their few lost samples being gaps in the clock."""
+        """Cut logs in memory into even pieces; their few lost samples are gaps in the clock."""
         here = [log for log in logs if isinstance(log, Log)]
         mended = (_mend(log, model.robot) for log in here if len(here) == len(logs))
         return cls(model, tuple(logs), tuple(piece for log in mended for piece in resample_segments(log)), **options)
@@ -228,7 +229,7 @@ class Data:
         return any(isinstance(log, Recording) for log in self.logs)
 
     def warnings(self) -> list[str]:
-        """Return what is doubtful about the logs, what spoils them first; of a large one, about a stretch in its middle."""
+        """Return warnings about the logs, faults first; for a large log, about a stretch in its middle."""
         whole = [log for log in self.logs if isinstance(log, Log)]
         found: list[Log] = []
         for log in self.logs if self.streams else ():
@@ -287,13 +288,13 @@ class Data:
 
 
 class BuiltData(NamedTuple):
-    """A regression and what it was made from.
+    """A regression and the data it was made from.
 
     Attributes:
         data: The pieces that gave rows, and the filters and masks they went through.
         regression: All rows.
-        blocks: Regressions of the first and the last part of each log, without rows to look at; None of logs in memory.
-        left_out: What is said about pieces that gave no rows.
+        blocks: Regressions of the first and the last part of each log, as totals without rows; None for logs in memory.
+        left_out: Warnings about pieces that gave no rows.
     """
 
     data: Data

@@ -1,4 +1,4 @@
-"""What an estimate should not be believed about, in sentences, and which descriptions the data cannot tell apart."""
+"""Warnings about the doubtful parts of an estimate, and models that the data cannot distinguish."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tau_dyn.parameters import Parameters
 from tau_dyn.robot import INERTIAL
 
 MAX_RESTING_SHARE = 0.5
-"""Share of the samples at rest from which a joint rests most of the time."""
+"""Share of samples at rest above which a joint counts as resting most of the time."""
 
 
 def compute_rest_shares(regression: Regression) -> np.ndarray:
@@ -49,7 +49,7 @@ def list_resting_warnings(regression: Regression, joints: Sequence[str] | None =
 _ILL_CONDITIONED = 200.0  # condition number; beyond, errors of the columns show in the estimates
 _CORRELATED = 0.99  # correlation from which two estimates are named together
 _OBJECTS = 3.0
-"""Standard errors outside of what is physical from which the data object; nearer is noise."""
+"""Distance [standard errors] outside the physical set beyond which the data contradict it; smaller distances are noise."""
 
 _MAX_INERTIA_RATIO = 30.0
 """Factor between identified and nominal inertia beyond which units are doubted; a robot file may be wrong by much less."""
@@ -77,7 +77,7 @@ def list_estimate_warnings(
 
 
 def list_unjudged_joint_warnings(train: ForceErrors, holdout: ForceErrors | None) -> list[str]:
-    """Return a sentence where the masks leave nothing of a joint, so that its errors of zero say nothing."""
+    """Return a warning for joints without any unmasked sample: their errors of zero carry no information."""
     why = "all are next to rests, reversals, gaps or forces at the drive's limit"
     found = []
     if train.unjudged:
@@ -92,7 +92,7 @@ def list_unjudged_joint_warnings(train: ForceErrors, holdout: ForceErrors | None
 
 
 def list_held_out_warnings(train: ForceErrors, holdout: ForceErrors | None) -> list[str]:
-    """Return a sentence where held-out logs are predicted so much worse that they are probably not of the same machine."""
+    """Return a warning if held-out logs are predicted so much worse that they probably belong to another machine."""
     if holdout is None:
         return []
     pairs = zip(train.joints, train.rms, holdout.rms, strict=True)
@@ -101,7 +101,7 @@ def list_held_out_warnings(train: ForceErrors, holdout: ForceErrors | None) -> l
 
 
 def list_inertia_scale_warnings(estimate: Estimate, nominal: Parameters) -> list[str]:
-    """Return a sentence where masses and inertias are orders of magnitude from the robot file's: mostly a unit is wrong."""
+    """Return a warning if masses and inertias differ by orders of magnitude from the robot file: mostly a unit is wrong."""
     base = estimate.base
     before, names = base.combine(nominal.select(base.names).values), [base.names[k] for k in base.kept]
     inertial = np.array([name.rpartition(".")[2] in INERTIAL for name in names], bool)
@@ -126,7 +126,7 @@ _RESISTS = ("coulomb", "viscous", "coulomb_pos", "coulomb_neg", "viscous_pos", "
 
 
 def list_equivalent_models(estimate: Estimate, joints: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the descriptions that fit exactly as well as the one reported."""
+    """Return the models that fit exactly as well as the one reported."""
     found = []
     for joint in joints:
         names = [f"{joint}.{q}" for q in ("coulomb_pos", "coulomb_neg", "viscous_pos", "viscous_neg")]
@@ -146,7 +146,7 @@ def list_equivalent_models(estimate: Estimate, joints: tuple[str, ...]) -> tuple
 
 
 def _moved(estimate: Estimate) -> list[str]:
-    """Return what had to be made physical against the data."""
+    """Return warnings about values that the constraints moved significantly away from the data."""
     bodies = [name.removesuffix(" inertia") for name in estimate.moved if name.endswith(" inertia")]
     found = _held_by_physics(estimate, bodies) if bodies else []
     found += list_friction_sign_warnings(estimate)
@@ -167,7 +167,7 @@ def _moved(estimate: Estimate) -> list[str]:
 
 
 def _excess(estimate: Estimate, name: str, plain: float) -> float:
-    """Return how far a plain estimate lies outside its bounds, in standard errors; none where it is not determined alone."""
+    """Return the distance of a plain estimate outside its bounds [standard errors]; 0 if it is not determined alone."""
     terms = name.split(" + ")
     rows = [k for k, kept in enumerate(estimate.base.kept) if estimate.base.names[kept] in terms]
     if len(rows) < len(terms) or not np.all(estimate.stderr[rows] > 0):
@@ -181,7 +181,7 @@ def _excess(estimate: Estimate, name: str, plain: float) -> float:
 def list_friction_sign_warnings(estimate: Estimate) -> list[CodedWarning]:
     """Return a sentence for each joint whose estimated friction is negative.
 
-    So it does where a force or a position has its sign turned, or is another joint's.
+    Causes: a reversed sign of a force or a position, or the column of another joint.
     """
     found = []
     for joint in estimate.regression.outputs:
@@ -199,10 +199,11 @@ def list_friction_sign_warnings(estimate: Estimate) -> list[CodedWarning]:
 
 
 def _held_by_physics(estimate: Estimate, bodies: list[str]) -> list[str]:
-    """Say which bodies had to be made physical, where the data object.
+    """Return a warning about bodies whose physical consistency contradicts the data.
 
-    The truth is physical and lies within chi-square of the plain estimate, and the nearest physical estimate lies nearer; so a
-    distance beyond the 99.9 % quantile objects to the model, in at most 0.1 % of sound logs.
+    The true parameters are physical, and their squared distance from the plain estimate follows chi-square. The nearest physical
+    estimate is closer still. A distance beyond the 99.9 % quantile therefore contradicts the model; sound logs exceed it in at
+    most 0.1 % of cases.
     """
     moved = estimate.beta - estimate.beta_plain
     stderr = np.where(estimate.stderr > 0, estimate.stderr, np.inf)
@@ -231,7 +232,7 @@ def _at_bound(estimate: Estimate) -> list[str]:
 
 
 def _unseen(estimate: Estimate) -> list[str]:
-    """Say what the robot could show but this motion does not, and what would."""
+    """Return a warning about parameters that the robot could show but this motion does not excite, with a remedy."""
     structural = estimate.structural
     if structural is None:
         return []

@@ -1,11 +1,11 @@
-"""Which estimator answers: weighted least squares, or one of those at the statistical limit where the log bears it.
+"""Choice of the estimator: weighted least squares, or one at the statistical limit if the log supports it.
 
-wls     on the prepared regression: low-pass, gate, decimation. Stable where the model leaves something out.
+wls     on the prepared regression: low-pass, gate, decimation. Robust to effects that the model omits.
 ml      full rate, errors in all variables; needs no reference (`full_rate.py`).
-iv      the same with instruments from `q_ref_J`; also unbiased where the controller answers the encoders' noise.
+iv      the same with instruments from `q_ref_J`; also unbiased if the controller reacts to the encoders' noise.
 robust  ml with bisquare weights against outliers in the forces.
-auto    iv where the log has references, else ml; wls where that is not more precise, or where the whitened residual
-shows that the model, not noise, makes it: then exact weights are exactly wrong.
+auto    iv if the log has references, else ml; wls if that is not more precise, or if the whitened residual shows that model
+error, not noise, dominates it: weights that are exact for the noise are then wrong.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ PARAMETER_DEPENDENT_SIGNALS = frozenset(
 
 MAX_ITERATIONS = 8  # bounds the time of a fit that does not converge
 RELATIVE_CHANGE_TOL = 0.01
-"""A fit is repeated until the predicted force moves by less than this share of what it leaves unexplained."""
+"""A fit is repeated until the predicted force moves by less than this share of the residual."""
 
 CLEAN_REFERENCE = 0.2
-"""Share of the encoders' noise that references may have; more, and they are measurements themselves."""
+"""Largest noise of references, as a share of the encoders' noise; references with more are measurements themselves."""
 
 MAX_IN_BAND_EXCESS_POWER = 0.25
 """Excess of the whitened residual's power in the motion's band above which the model, not noise, makes it."""
 
 BANDS = (1.0, 0.4, 0.2)
-"""Parts of the force low-pass' cutoff below which the power is looked at; the last is about the motion's own band."""
+"""Parts of the force low-pass' cutoff below which the power is tested; the last is about the motion's own band."""
 
 CORRELATION = 0.05
 """Correlation of neighbouring whitened residuals above which the noise is not as assumed."""
@@ -58,7 +58,7 @@ class Estimator:
 
     Attributes:
         kind: One of `ESTIMATORS`.
-        model: What is fitted.
+        model: The fitted model.
         pieces: Even stretches of the training logs, in the order of the regression's runs.
         gains: Factor of each joint's logged force and its relative deviation.
         structural: Base parameters that any motion could show.
@@ -71,7 +71,7 @@ class Estimator:
     structural: BaseParameters | None = None
 
     def __post_init__(self) -> None:
-        """Refuse an unknown name, and logs or models that the one asked for cannot take."""
+        """Refuse an unknown name, and logs or models that the requested estimator cannot handle."""
         if self.kind not in ESTIMATORS:
             raise InputError("bad_option", f"estimator '{self.kind}' is none of {', '.join(ESTIMATORS)}")
         if self.kind in ("ml", "iv", "robust"):
@@ -85,7 +85,7 @@ class Estimator:
         return 0 if self.structural is None else self.structural.rank
 
     def solve(self, built: BuiltData, part: Regression | None = None) -> Estimate:
-        """Return the estimate that answers, of data or of a part of their regression; full rate reads the data's own pieces."""
+        """Return the estimate by the chosen estimator, from data or a part of their regression; full rate reads the data."""
         sigmas = {joint: sigma for joint, (_, sigma) in self.gains.items()}
         regression = built.regression if part is None else part
         physics = split_bodies(build_physical_constraints(self.model), regression.parameters)
@@ -93,7 +93,7 @@ class Estimator:
         return replace(self, pieces=built.data.pieces)(first)
 
     def __call__(self, first: Estimate) -> Estimate:
-        """Return the estimate that answers, given weighted least squares on a regression of the pieces or of parts of them."""
+        """Return the estimate by the chosen estimator, given weighted least squares on the pieces or their parts."""
         if self.kind == "auto":
             return self._automatic(first)
         if self.kind == "wls":
@@ -129,7 +129,7 @@ class Estimator:
         )
 
     def _fault(self, kind: str) -> str:
-        """Return why an estimator cannot take this model and these logs; empty where it can."""
+        """Return why an estimator cannot handle this model and these logs; empty if it can."""
         joints = self.model.robot.actuated
         if self.model.robot.base_coordinates:
             return "the forces of the ground are not known at full rate; use wls"
@@ -154,7 +154,7 @@ class Estimator:
 
 
 def is_residual_white(found: FullRateEstimate) -> bool:
-    """Return whether whitened residuals are white where the motion is: no more power in its band, no memory."""
+    """Return whether whitened residuals are white in the motion's band: no excess power, no autocorrelation."""
     cutoff = found.estimate.regression.preparation.force_cutoff_hz
     for k in range(found.residuals[0].shape[1]):
         pairs = [(e[:, k], s.keep[:, k], s.log.rate_hz) for e, s in zip(found.residuals, found.stretches, strict=True)]
@@ -172,7 +172,7 @@ def is_residual_white(found: FullRateEstimate) -> bool:
 
 
 def _power_below(edge_hz: float, pairs: Sequence[tuple[np.ndarray, np.ndarray, float]]) -> tuple[float, int]:
-    """Return the power of one output's residuals below a frequency, in units of a white one's, and of how many blocks it is."""
+    """Return the power of one output's residuals below a frequency, relative to white noise, and its number of blocks."""
     power, blocks = 0.0, 0
     for x, keep, rate in pairs:
         width = max(2, int(rate / (2 * edge_hz)))
@@ -207,7 +207,7 @@ def _part(log: Log, t: np.ndarray) -> Log:
 
 
 class Settled(NamedTuple):
-    """A fit, what it was fitted to, and what is doubtful about it."""
+    """A fit, its data, and its warnings."""
 
     built: BuiltData
     estimate: Estimate
@@ -215,15 +215,15 @@ class Settled(NamedTuple):
 
 
 def iterate_to_fixed_point(built: BuiltData, solver: Estimator) -> Settled:
-    """Return the fit, repeated where effects feel what the fitted values make of forces and loads.
+    """Return the fit, iterated if effects depend on forces or loads that follow from the fitted values.
 
-    Friction in proportion to a load, or a gain of the model's own force, has columns that depend on what the fit finds: they are
-    made again with the signals of the last estimate. Each pass brings a gain error `g` closer by a factor `g`, and a load's
-    friction by the share of the force that it is; two or three passes are the rule.
+    Friction in proportion to a load, or a gain of the model's own force, has columns that depend on the estimate: they are
+    computed again with the signals of the last estimate. Each iteration reduces a gain error `g` by a factor `g`, and an error of
+    load-dependent friction by its share of the force; two or three iterations are typical.
 
     Args:
         built: The data, with signals at the values to start from.
-        solver: The estimation.
+        solver: The estimator.
     """
     model, estimate = built.data.model, solver.solve(built)
     feeling = [effect.name for effect in model.effects if PARAMETER_DEPENDENT_SIGNALS & set(effect.needs)]

@@ -1,6 +1,6 @@
 """A short, even, low-passed excerpt of the logs on which their wiring and timing are judged against the robot file.
 
-Positions and forces pass the same zero-phase low-pass and are decimated to what it leaves; reversals, speeds within the encoder's
+Positions and forces pass the same zero-phase low-pass and are decimated to its bandwidth; reversals, speeds within the encoder's
 noise and forces at the drives' limits are masked.
 """
 
@@ -26,10 +26,10 @@ from tau_dyn.log import (
 from tau_dyn.robot import Robot
 
 MAX_DURATION_S = 60.0
-"""The middle of a log of this length tells the wiring; a motion repeats itself."""
+"""Length of the middle part of a log that is used [s]; a motion repeats itself."""
 
 MAX_SAMPLES = 3000
-"""Decimated samples that are looked at: more do not change a verdict, and two seconds are enough for a check."""
+"""Number of decimated samples used: more do not change a verdict, and two seconds are enough for a check."""
 
 NOISE_FACTOR = 10.0
 """Speeds below so many standard deviations of their noise have no sure sign."""
@@ -38,13 +38,13 @@ MASK_PERIODS = 1.0
 """Time masked on both sides of a reversal, in periods of the low-pass: longer than friction's step is smeared."""
 
 MAX_SATURATED = 0.05
-"""Share of forces at the robot file's limits above which the limits are not believed."""
+"""Share of forces at the robot file's limits above which the limits are ignored."""
 
 MIN_SAMPLES = 40
-"""Fewer usable samples of all joints together say nothing."""
+"""With fewer usable samples of all joints together, no statement is made."""
 
 MAX_COMPUTED = 1e-6
-"""Relative difference from differentiated positions below which a velocity was computed from them, and is no second record."""
+"""Relative difference from differentiated positions below which a velocity was computed from them."""
 
 MIN_COHERENCE = 0.95
 """Correlation from which a recorded velocity is that of the joint; noise of sensors leaves more, another joint less."""
@@ -55,7 +55,7 @@ class Excerpt:
     """Even samples of one log at the rate of the low-pass.
 
     Attributes:
-        log: The even log that it is made of, at its own rate.
+        log: The even log of the excerpt, at its own rate.
         q: Positions (n, na) [m or rad].
         v: Velocities (n, na).
         a: Accelerations (n, na).
@@ -77,7 +77,7 @@ class Excerpt:
 
 @dataclass(frozen=True, eq=False)
 class Records:
-    """What a log itself says about its readings.
+    """Properties of a whole log by which its readings are judged.
 
     Attributes:
         speed_ratio: Recorded velocity over the derivative of the position (na,); nan without an independent record.
@@ -119,7 +119,7 @@ def _compare_speeds(excerpt: Excerpt, k: int, joint: str) -> float:
 
 
 def make_excerpt(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ...] = ()) -> Excerpt | None:
-    """Return the excerpt of the longest of even logs; None where they are too short or do not move.
+    """Return the excerpt of the longest of even logs; None if they are too short or do not move.
 
     Args:
         robot: Gives the actuated joints and their limits.
@@ -155,7 +155,7 @@ def _filtered(robot: Robot, log: Log, cutoff: float, exclude: tuple[str, ...]) -
     )
     shut = find_unsure_samples(v, threshold)
     left_out = find_excluded_samples(log, joints, robot.effort_limit, exclude)
-    if np.mean(left_out) > MAX_SATURATED:  # forces in another unit, or limits that mean nothing
+    if np.mean(left_out) > MAX_SATURATED:  # forces in another unit, or meaningless limits
         left_out = find_excluded_samples(log, joints, np.full(robot.na, np.inf), exclude)
     shut |= left_out
     used = ~widen(shut, int(np.ceil(MASK_PERIODS * rate / cutoff)))
@@ -170,7 +170,7 @@ def _filtered(robot: Robot, log: Log, cutoff: float, exclude: tuple[str, ...]) -
 
 
 def compute_clipped_power(r: np.ndarray, deviations: float) -> float:
-    """Return the mean square of residuals (n,), of which those beyond so many robust standard deviations count no more."""
+    """Return the mean square of residuals (n,), clipped at so many robust standard deviations."""
     if not r.size:
         return 0.0
     limit = deviations * 1.4826 * float(np.median(np.abs(r)))

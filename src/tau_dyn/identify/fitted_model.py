@@ -1,4 +1,4 @@
-"""From what was asked to the model that is fitted: friction by name, what is fixed or free, and what any motion could show of it.
+"""The fitted model from the user's choices: friction by name, fixed and free parameters, and its structural base parameters.
 
 --fix plate_link.mass=9.13          taken as exact
 --fix plate_link.mass=9.13+-0.05    known with a standard deviation: enters as a measurement of its own
@@ -7,8 +7,8 @@
 --free '*.armature'                 estimated although fixed by default
 --bound cart1.viscous=0:400         kept within
 
-A drive adds `armature * a_J` to its own joint's force. Where this column lies in the span of the bodies' columns (a prismatic
-direct drive, the first joint of an arm), no data can separate it: it is part of a body's parameter. Elsewhere it is a parameter
+A drive adds `armature * a_J` to its own joint's force. If this column is in the span of the bodies' columns (a prismatic
+direct drive, the first joint of an arm), no data can separate it: it is part of a body's parameter. Otherwise it is a parameter
 of its own, free unless the robot file or `--fix` gives it. Reference: Gautier & Khalil 1990, on grouping `Ia` with inertias.
 """
 
@@ -32,7 +32,7 @@ from tau_dyn.robot import NOT_GIVEN, Robot
 
 @dataclass(frozen=True)
 class Choices:
-    """Requests by name or pattern, as the command line spells them, and the motor constants among them.
+    """Requests by name or pattern, in the form of the command line, including motor constants.
 
     Attributes:
         fix: `NAME`, `NAME=VALUE` or `NAME=VALUE+-SIGMA`.
@@ -84,7 +84,7 @@ class Choices:
         return model
 
     def gains(self, joints: Iterable[str]) -> dict[str, tuple[float, float]]:
-        """Return what was said about motor constants: joint -> (factor, relative standard deviation)."""
+        """Return the given drive gains: joint -> (factor, relative standard deviation)."""
         joints = tuple(joints)
         found = {}
         for text in self.fix:
@@ -103,7 +103,7 @@ class Choices:
 
 
 def scale_outputs(regression: Regression, factors: Mapping[str, float]) -> Regression:
-    """Return the regression with each output multiplied by its factor (1 where none is given)."""
+    """Return the regression with each output multiplied by its factor (1 by default)."""
     scale = [factors.get(output, 1.0) for output in regression.outputs]
     return replace(
         regression, runs=tuple(replace(run, y=run.y * scale, y_all=run.y_all * scale) for run in regression.runs)
@@ -161,7 +161,7 @@ def _number(word: str, text: str) -> float:
 
 
 WITHIN_BODIES = "within "
-"""How the `origin` of a drive inertia begins that is part of bodies' parameters; their names follow."""
+"""Prefix of the `origin` of a drive inertia that is part of bodies' parameters; their names follow."""
 N_STATES = 60
 """Random states; each gives a row a joint, several times as many as bodies have parameters."""
 _SAMPLES = 2000  # of the random motion
@@ -170,7 +170,7 @@ _SAMPLES = 2000  # of the random motion
 def build_model(robot: Robot, model: str | Path | Model) -> Model:
     """Return a model of this robot: friction by name, or the effects and values of a model file.
 
-    Drive inertias that nobody gave are free where data can tell them from the bodies' (`fitted_model.py`).
+    Drive inertias without a given value are free if data can separate them from the bodies' inertia (`fitted_model.py`).
 
     Raises:
         InputError: The model file is of a robot with other actuated joints or parameters.
@@ -181,7 +181,7 @@ def build_model(robot: Robot, model: str | Path | Model) -> Model:
         )
     if not isinstance(model, Model):
         if isinstance(model, str) and not Path(model).suffix:
-            build_friction_model(model, robot.driven, robot.driven_units)  # says which names there are
+            build_friction_model(model, robot.driven, robot.driven_units)  # raises an error that lists the names
         model = Model.load(model)
     if model.robot.actuated != robot.actuated:
         theirs = ", ".join(model.robot.actuated)
@@ -192,7 +192,7 @@ def build_model(robot: Robot, model: str | Path | Model) -> Model:
 
 
 def _with_friction_of_file(model: Model) -> Model:
-    """Return the model with the friction that the robot file says as nominal values, the same in both directions."""
+    """Return the model with the friction of the robot file as nominal values, the same in both directions."""
     said = {
         f"{joint}.{part}{side}": getattr(friction, part)
         for joint, friction in model.robot.friction.items()
@@ -203,13 +203,13 @@ def _with_friction_of_file(model: Model) -> Model:
 
 
 def free_drive_inertias(model: Model, seed: int = 0) -> Model:
-    """Return the model with every drive inertia free that nobody gave and that is separable from the bodies' inertia.
+    """Return the model with every drive inertia free that has no given value and is separable from the bodies' inertia.
 
-    One that is not separable stays at zero; its `origin` names the parameters that hold it.
+    A drive inertia that is not separable stays at zero; its `origin` names the parameters that contain it.
 
     Args:
         model: Any model; drive inertias that its file or its user gave are kept.
-        seed: Of the random states at which columns are compared.
+        seed: Seed of the random states at which columns are compared.
     """
     robot, parameters = model.robot, model.parameters
     unknown = [j for j in robot.actuated if parameters[f"{j}.armature"].origin == NOT_GIVEN]
@@ -231,7 +231,7 @@ def free_drive_inertias(model: Model, seed: int = 0) -> Model:
 
 
 def _describe_holders(base: BaseParameters) -> str:
-    """Return which body parameters hold the drive inertia that is the last column, in words."""
+    """Return the body parameters that contain the drive inertia of the last column, in words."""
     share = base.K[:, -1]
     names = [base.names[base.kept[k]] for k in np.argsort(-np.abs(share)) if share[k]]
     if len(names) == 1:
@@ -244,7 +244,7 @@ def find_structural_base(model: Model, seed: int = 0) -> BaseParameters:
     """Return the base parameters of the free columns over random motion around home.
 
     Positions are drawn as far from home as the limits and the loops allow; speeds and accelerations are of order one.
-    Effects that a single state does not determine are seen along a smooth random motion instead.
+    Effects that a single state does not determine are evaluated along a smooth random motion instead.
     """
     rng = np.random.default_rng(seed)
     q = draw_random_positions(model, N_STATES, rng)
@@ -266,8 +266,8 @@ def find_structural_base(model: Model, seed: int = 0) -> BaseParameters:
 def _along_a_motion(model: Model, reached: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return columns (n, na, p) along sums of sines within the box around home that random positions (N, na) span.
 
-    Speeds and accelerations are differentiated as effects differentiate displacements, so that what is equivalent is
-    equal. Temperatures, and the number of the log, change along the way.
+    Speeds and accelerations are differentiated as effects differentiate displacements, so that equivalent
+    columns are equal. Temperatures, and the number of the log, change along the way.
     """
     robot, dt = model.robot, 0.005
     t = dt * np.arange(_SAMPLES)
@@ -291,7 +291,7 @@ def _along_a_motion(model: Model, reached: np.ndarray, rng: np.random.Generator)
 
 
 def draw_random_positions(model: Model, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Draw actuated positions (count, na) within limits at which the loops close, nearer home where need be."""
+    """Draw actuated positions (count, na) within limits at which the loops close, nearer home if necessary."""
     robot = model.robot
     low = np.where(np.isfinite(robot.lower), robot.lower, robot.home - 1.0)
     high = np.where(np.isfinite(robot.upper), robot.upper, robot.home + 1.0)
@@ -307,7 +307,7 @@ def draw_random_positions(model: Model, count: int, rng: np.random.Generator) ->
 
 
 def build_physical_constraints(model: Model) -> PhysicalConstraints:
-    """Return the bodies whose inertial numbers must be those of something that exists, and the rotors that they may hold."""
+    """Return the bodies whose inertial parameters must be physically consistent, and the rotors that they may contain."""
     rotors = tuple(p.name for p in model.robot.parameters if not p.free and p.origin.startswith(WITHIN_BODIES))
     return PhysicalConstraints(
         tuple(InertialBody(link.link, link.names, link.map) for link in model.robot.links), rotors

@@ -2,29 +2,28 @@
 
 **Equations** at a log's own rate, without the low-pass that the regression puts before decimation. Accelerations are second
 differences of the raw positions, so that the noise of an equation is known exactly (`estimate/autoregression.py`); positions
-and speeds, whose noise matters little, come low-passed. An equation is left out where a sign is not sure, where a force is
-saturated or flagged, and within reach of a reversal of any joint: a jump of the acceleration there is no second difference of
-anything.
+and speeds, whose noise matters little, are low-passed. An equation is left out if a sign is not sure, if a force is saturated
+or flagged, and near a reversal of any joint: a second difference does not represent the jump of the acceleration there.
 
-**Estimate.** From a first one (weighted least squares), the force noise is found beside the encoders'
-(`estimate_encoder_noise`), and the equations are whitened by both. Then, two or three times over,
+**Estimate.** A first estimate (weighted least squares) gives the force noise in addition to the encoders' noise
+(`estimate_encoder_noise`), and the equations are whitened with both. Then, two or three times,
 
     ml      Z along q_hat = q + sigma_q^2 D' Sigma^-1 (tau - Y theta), the most likely true motion given positions *and* forces.
             Its errors are uncorrelated with the equations' (cov(n, r) = -sigma_q^2 D' cancels): maximum likelihood with errors in
-            all variables. Needs no reference. A controller that answers the encoders' noise correlates the two again.
-    iv      Z along the motion that follows from the log's references, which no noise of either kind has touched, feedback or not.
+            all variables. Needs no reference. A controller that reacts to the encoders' noise correlates the two again.
+    iv      Z along the motion that follows from the log's references, which contain neither noise, with or without feedback.
     robust  ml, with bisquare weights on each sample of force.
 
 The limit is the Cramer-Rao bound `(Y' Sigma^-1 Y)^-1` at the true motion, with true positions as nuisance parameters.
 
-**References.** A controller lets the robot deviate from its reference by what forces and the reference itself make of it:
+**References.** The deviation of the robot from its reference is a response to the forces and to the reference itself:
 
     q - q_ref = sum_k h_k(t) * s_k(t),   s = forces, speeds and accelerations along the reference,
 
 with impulse responses `h` of half a second, piecewise linear over lags that grow by half and fitted by least squares: some
-hundred numbers from as many equations as there are samples, so that next to no encoder noise passes. No controller has to be
-known. Where it is known, simulating the closed loop does the same (Janot, Vandanjon & Gautier 2014); this only approximates
-it, which costs precision, never consistency, since whatever follows from references alone is independent of the noise.
+hundred numbers from as many equations as there are samples, so that almost no encoder noise passes. The controller need not be
+known. If it is known, simulating the closed loop does the same (Janot, Vandanjon & Gautier 2014); this only approximates
+it, which costs precision but not consistency, since signals that follow from references alone are independent of the noise.
 
 References: Soderstrom 2018; Janot, Vandanjon & Gautier 2014; Brunot, Janot, Young & Carrillo 2018.
 """
@@ -64,16 +63,16 @@ MAX_RESPONSE_LAG_S = 0.5
 """Longest lag of the response to a reference [s]."""
 
 FINE = 4
-"""Lags up to this sample stand by themselves; beyond, they grow by half."""
+"""Lags up to this sample are one sample apart; beyond, they grow by half."""
 
 
 def predict_tracked_motion(model: Model, log: Log, preparation: Preparation, q: np.ndarray) -> np.ndarray:
     """Return positions (n, m) that follow from the references alone.
 
     Args:
-        model: Gives the forces along the reference.
+        model: Model that gives the forces along the reference.
         log: An even stretch with `q_ref_J` of every actuated joint.
-        preparation: Gives the low-pass before the references are differentiated.
+        preparation: Filters, with the low-pass before the references are differentiated.
         q: Measured positions (n, m).
     """
     reference = log.joint("q_ref", model.robot.actuated)
@@ -86,7 +85,7 @@ def predict_tracked_motion(model: Model, log: Log, preparation: Preparation, q: 
 
 
 def _sources(model: Model, log: Log, preparation: Preparation, reference: np.ndarray) -> np.ndarray:
-    """Return what makes a robot deviate (n, 3 m): forces, speeds and accelerations along the reference."""
+    """Return the inputs of the deviation (n, 3 m): forces, speeds and accelerations along the reference."""
     q = lowpass(reference, preparation.position_cutoff_hz, log.rate_hz)
     v = differentiate(q, log.dt, accuracy=4)
     a = differentiate(v, log.dt, accuracy=4)
@@ -129,7 +128,7 @@ class FullRate:
         log: The stretch.
         position: Raw positions (n, m) [m or rad].
         smooth: Positions and speeds behind the position low-pass, each (n, m).
-        signals: What else effects feel.
+        signals: Further signals that effects need.
         force: Logged forces (n, m) [N or N m].
         W: Columns with the accelerations of the raw positions (n, m, p).
         inertia: Mass matrices (n, m, m).
@@ -188,10 +187,10 @@ def _inertia(model: Model, q: np.ndarray) -> np.ndarray:
 
 MAX_ITERATIONS = 6  # of instruments and noise model
 MAX_CHANGE_STDERRS = 0.02
-"""Rounds end when no base parameter moves by more than this part of its standard error."""
+"""Iterations end when no base parameter moves by more than this part of its standard error."""
 
 NOISE_SAMPLES = 20_000
-"""Samples of a stretch from which the force noise is found; it is a weight, and known to 1 % from these."""
+"""Samples of a stretch for estimating the force noise; it is a weight, and these determine it to 1 %."""
 
 NOISE_ROUNDS = 12  # iterations of the noise model alone
 MIN_ROBUST_WEIGHT = 1e-3
@@ -200,7 +199,7 @@ MIN_ROBUST_WEIGHT = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class FullRateEstimate:
-    """An estimate, and the whitened residuals (n, m) by which to tell whether the noise was as assumed."""
+    """An estimate, and its whitened residuals (n, m), which show whether the noise was as assumed."""
 
     estimate: Estimate
     residuals: tuple[np.ndarray, ...]
@@ -217,10 +216,10 @@ def estimate_full_rate(
     gains: Mapping[str, tuple[float, float]] | None = None,
     physics: PhysicalConstraints | None = None,
 ) -> FullRateEstimate:
-    """Estimate again, at full rate.
+    """Return the estimate at full rate, starting from a first one.
 
     Args:
-        model: What is fitted.
+        model: The fitted model.
         pieces: Even stretches of the training logs.
         first: Weighted least squares on the same logs.
         kind: `ml`, `iv` or `robust`.
@@ -228,7 +227,7 @@ def estimate_full_rate(
         physics: Bodies to keep physical.
 
     Raises:
-        CannotAnswer: Too little is left, or the references tell nothing.
+        CannotAnswer: Too few equations are left, or the references do not determine the motion.
     """
     gains = gains or {}
     preparation = first.regression.preparation
@@ -260,7 +259,7 @@ def _reference_columns(model: Model, stretch: FullRate, preparation) -> np.ndarr
 
 
 class _FullRateFit:
-    """The rounds of one estimation."""
+    """The iterations of one estimation."""
 
     def __init__(self, model: Model, first: Estimate, stretches: tuple[FullRate, ...], gains: bool) -> None:
         self.model, self.first, self.stretches, self.gains = model, first, stretches, gains
@@ -280,7 +279,7 @@ class _FullRateFit:
         return solution, rows, 1.0
 
     def robust(self) -> tuple[InstrumentalSolution, tuple[WhiteRows, ...], float]:
-        """Return the solution with bisquare weights on each sample of force, and how much less certain they leave it."""
+        """Return the solution with bisquare weights on each sample of force, and the factor on its covariance."""
         plain = [self._noise(s, self.force) for s in self.stretches]
         beta, noises, scaled = self.first.beta_plain, plain, np.zeros(1)
         solution, rows = self._rounds(plain, None, beta)
@@ -346,7 +345,7 @@ class _FullRateFit:
         ]
 
     def _force_noise(self, residuals: list[np.ndarray]) -> np.ndarray:
-        r"""Return each joint's force noise (m,) from residuals, beside the encoders' known one.
+        r"""Return each joint's force noise (m,) from residuals, given the known encoder noise.
 
         `sigma^2 <- sigma^2 (s' s) / trace(Sigma^-1)` over the joint's equations, `s = Sigma^-1 r`: the fixed point is the
         likelihood's maximum. The trace comes from one row of random signs (Hutchinson 1990).
@@ -371,6 +370,6 @@ class _FullRateFit:
 
 
 def _moved(before: InstrumentalSolution, after: InstrumentalSolution) -> float:
-    """Return the largest move of a base parameter in its own standard errors, as the information has them."""
+    """Return the largest change of a base parameter in its own standard errors, from the information matrix."""
     stderr = np.sqrt(np.abs(np.diag(np.linalg.inv(after.J))))
     return float(np.max(np.abs(after.beta - before.beta) / stderr))

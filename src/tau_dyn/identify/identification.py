@@ -1,9 +1,9 @@
-"""Torque logs -> masses and friction that can be trusted: the whole main path in one place.
+"""Identification of masses and friction from torque logs: the whole main path in one place.
 
     robot, logs -> Model -> Data -> Regression -> Estimate -> errors on data the fit never saw -> Identification
 
-What is doubtful is said in sentences: what the motion does not determine, where physics held the answer, which
-descriptions the data cannot tell apart.
+Doubtful results are reported as warnings: parameters that the motion does not determine, values moved by physical
+constraints, and models that the data cannot distinguish.
 """
 
 from __future__ import annotations
@@ -88,18 +88,18 @@ def identify(
         logs: Training logs with `q_J` and `tau_J` of every actuated joint; recordings on disk (`open_log`) may exceed memory.
         holdout: Logs to judge on; without any, the last 30 % of each log, predicted by a fit of the first 70 %.
         model: `rigid`, `symmetric`, `asymmetric`, a model file, or a model.
-        choices: What is fixed, free, bounded or measured beforehand.
+        choices: Parameters that are fixed, free, bounded or measured beforehand.
         preparation: Filters and masks; by default chosen from the training logs.
         exclude: Log columns whose nonzero samples are left out.
         per_log: Names or patterns of parameters that have a value per log, estimated by `wls`.
         estimator: `wls`, `ml`, `iv`, `robust` or `auto`; see `estimators.py`.
         seed: Seed of the random states of the structural study.
-        engine: Who computes the blocks of recordings on disk; by default as many threads as there are cores.
+        engine: Executor for the blocks of recordings on disk; by default as many threads as there are cores.
         progress: Called with a word for each step.
 
     Raises:
         InputError: A log, the model or a choice is at fault.
-        CannotAnswer: The logs determine nothing.
+        CannotAnswer: The logs determine no parameter.
 
     Example:
         >>> t, w = np.arange(0.0, 10.0, 0.005), np.array([[3.0], [7.0]])
@@ -115,7 +115,7 @@ def identify(
     given, judged = get_log_list(logs), get_log_list(holdout)
     if per_log:
         given, estimator = name_apart(given), _require_wls(estimator)
-    warnings: list[str] = []  # what was doubtful on the way; where no answer comes, often the reason
+    warnings: list[str] = []  # often the reason if the identification fails
     try:
         how = {"engine": engine or BlockExecutor(count_cores()), "progress": progress}
         data, held_out, gains, doubled = _gather_data(
@@ -203,7 +203,7 @@ def _place(model: Model, estimate: Estimate) -> Model:
 
 
 class _Gathered(NamedTuple):
-    """Data to train on and to judge on, each joint's force factor and its deviation, and what is said of repeated logs."""
+    """Training and held-out data, each joint's force factor and its deviation, and warnings about repeated logs."""
 
     data: Data
     held_out: Data
@@ -221,7 +221,7 @@ def _gather_data(
     per_log: Sequence[str],
     how: Mapping[str, Any],
 ) -> _Gathered:
-    """Return the data of the model that was asked for; nothing of it is computed yet."""
+    """Return the data for the requested model, without computing any of it."""
     fitted = choices.apply(model)
     if not fitted.parameters.free.any():
         raise InputError(
@@ -247,13 +247,13 @@ def _gather_data(
 
 
 def _list_base_warnings(robot: Robot, logs: Sequence[Log | Recording]) -> list[str]:
-    """Return what is doubtful about a floating base's motion and feet; nothing of a fixed one."""
+    """Return warnings about a floating base's motion and feet; empty for a fixed base."""
     here = [log for log in logs if isinstance(log, Log) and robot.base_coordinates]
     return [warning for log in here for warning in list_base_warnings(robot, log)]
 
 
 def _settled_or_scarce(built: BuiltData, solver: Estimator) -> Settled:
-    """Return the estimate; where it fails on less information than it has unknowns, say that this is the reason."""
+    """Return the estimate; if it fails because the logs hold less information than unknowns, raise an error with that reason."""
     try:
         return iterate_to_fixed_point(built, solver)
     except InputError as fault:
@@ -268,7 +268,7 @@ def _settled_or_scarce(built: BuiltData, solver: Estimator) -> Settled:
 
 
 def _account_for_timing(settled: Settled, solver: Estimator) -> tuple[Settled, ForceOffset | None]:
-    """Return the fit with forces read when they acted, and intervals that hold for what is not known of it."""
+    """Return the fit with forces shifted to the time they acted, and standard errors that include the shift's uncertainty."""
     built, estimate, model = settled.built, settled.estimate, solver.model
     pieces = built.data.pieces
     columns = build_offset_columns(_place(model, estimate), pieces, built.regression)
@@ -285,7 +285,7 @@ def _account_for_timing(settled: Settled, solver: Estimator) -> tuple[Settled, F
 
 
 class _Judged(NamedTuple):
-    """Data that the fit never saw: their regression where its rows are there, errors on them, how, and predictive bands."""
+    """Held-out data: their regression if its rows are in memory, errors on them, the method in words, and predictive bands."""
 
     regression: Regression | None
     errors: ForceErrors | None
@@ -295,7 +295,7 @@ class _Judged(NamedTuple):
 
 
 def _judge_held_out(held_out: Data, settled: Settled, offset: ForceOffset | None) -> _Judged:
-    """Return the errors on logs of their own, prepared as those that were fitted; none where all are too short for that."""
+    """Return the errors on held-out logs, prepared like the training logs; empty if all are too short."""
     if not held_out.logs:
         return _Judged(None, None, "no held-out log was left")
     alike = replace(held_out, preparation=settled.built.regression.preparation)
@@ -331,7 +331,7 @@ def _judge_last_part(built: BuiltData, solver: Estimator) -> _Judged:
 
 
 def _refuse_in_blocks(estimator: str, data: Data) -> None:
-    """Refuse estimators that look at all rows again and again, where the rows are on disk."""
+    """Refuse estimators that read all rows repeatedly, if the rows are on disk."""
     if data.streams and estimator not in ("wls", "auto"):
         raise InputError(
             "unsupported",
@@ -340,7 +340,7 @@ def _refuse_in_blocks(estimator: str, data: Data) -> None:
 
 
 def _find_changes(model: Model, regression: Regression) -> tuple[LogChange, ...]:
-    """Return where something changes within a log; not looked for in rows that contacts mix, which are of no single joint."""
+    """Return changes within a log; empty for a floating base, where contacts mix the rows of all joints."""
     if model.robot.base_coordinates:
         return ()
     return find_changes(regression, build_shared_columns(regression, model.mechanism))
@@ -354,7 +354,7 @@ def _list_singularities(model: Model, regression: Regression) -> list[str]:
 
 
 def _refuse_if_nothing_determined(estimate: Estimate) -> None:
-    """Refuse an estimate of which no base parameter is known to 30 %, and say what is missing.
+    """Refuse an estimate of which no base parameter is known to 30 %, and name the missing excitation.
 
     Coulomb values whose sum is at zero do not count: they are a constant offset, not friction.
     """
@@ -373,7 +373,7 @@ def _refuse_if_nothing_determined(estimate: Estimate) -> None:
 
 
 def refuse_constant_forces(logs: Sequence[Log | Recording], regression: Regression, driven: Sequence[str]) -> None:
-    """Refuse a force of a driven joint that is the same to the last bit while the joint moves: it was not measured."""
+    """Refuse a force of a driven joint that is constant to the last bit while the joint moves: it was not measured."""
     here = [log for log in logs if isinstance(log, Log)]
     used = [j for k, j in enumerate(regression.outputs) if any(run.usable[:, k].any() for run in regression.runs)]
     moving = [j for j in used if j in driven]

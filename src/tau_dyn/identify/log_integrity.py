@@ -1,10 +1,10 @@
-"""Is this log what it claims to be? One set of tests for `check`, `identify` and `diagnose`.
+"""Integrity tests of a log, shared by `check`, `identify` and `diagnose`.
 
 The data alone show lost, repeated, zeroed, held and frozen samples (`log/data_integrity.py`). With the robot file, wiring
-(`wiring.py`) and the time of the forces (`timing.py`) are judged on the middle minute of each mended log, joint by joint. Where
-losses cannot be mended, they are reported alone: they look like wrong scales and delays.
+(`wiring.py`) and the time of the forces (`timing.py`) are judged on the middle minute of each mended log, joint by joint. If
+losses cannot be mended, only they are reported, because they look like wrong scales and delays.
 
-A fault blocks only the results that it can bias: one that was mended, or whose samples were left out, is a note.
+A fault blocks only the results that it can bias. A fault that was mended, or whose samples were left out, is a note.
 """
 
 from __future__ import annotations
@@ -38,29 +38,29 @@ SPOILING = frozenset(
         "updated_less_often",
     }
 )
-"""Codes of faults that make false physics where they remain in the data: no cause may be confirmed next to them."""
+"""Codes of faults that imitate physical effects if they remain in the data: with them, no cause may be confirmed."""
 
 MAX_LOGS = 5
-"""So many logs are held against the robot file; the columns of a campaign are wired alike."""
+"""Number of logs that are compared with the robot file; the columns of a campaign are wired in the same way."""
 
 
 LIMIT_REACH_S = 0.1
 """Time about a force at its drive's limit within which filters mix it with its neighbours [s]."""
 
 MAX_NEAR_LIMIT = 0.5
-"""Share of such samples above which a log is doubted: which fragments are left depends on the force's own noise, a bias."""
+"""Share of such samples above which a log gives a warning: the noise then selects the remaining samples, which is a bias."""
 
 MAX_FOUND = 100
-"""Logs whose faults are remembered; the first goes first."""
+"""Number of logs whose faults are cached; the oldest is dropped first."""
 _FOUND: dict[bytes, tuple[CodedWarning, ...]] = {}
 """Faults that logs have against robots, by a hash of all that they depend on."""
 
 
 def check_integrity(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ...] = ()) -> list[CodedWarning]:
-    """Return what is doubtful about logs as coded warnings, each with evidence and mend; sound logs give none.
+    """Return coded warnings about logs, each with evidence and remedy; empty for sound logs.
 
     Args:
-        robot: The robot file that the logs are said to be of.
+        robot: The robot file that the logs should belong to.
         logs: Logs as read.
         exclude: Columns whose nonzero samples are left out.
     """
@@ -74,7 +74,7 @@ def check_against_robot(robot: Robot, logs: Sequence[Log], exclude: tuple[str, .
 
 
 def _list_data_warnings(robot: Robot, log: Log) -> list[CodedWarning]:
-    """Return faults that a log shows by itself; joints of a walker leap where feet touch down, with no sample lost."""
+    """Return faults that a log shows by itself, without lost samples for a walker, whose joints jump when feet touch down."""
     found = list_data_warnings(log, robot.driven)
     return [w for w in found if w.code != "lost_samples"] if robot.base_coordinates else found
 
@@ -82,10 +82,10 @@ def _list_data_warnings(robot: Robot, log: Log) -> list[CodedWarning]:
 def _against_robot(
     robot: Robot, logs: Sequence[Log], told: Sequence[Sequence[str]], exclude: tuple[str, ...]
 ) -> list[CodedWarning]:
-    """Return forces at their limits and faults of wiring and timing of logs, given what each tells by itself."""
+    """Return forces at their limits and faults of wiring and timing of logs, given the warnings from each log's data alone."""
     at_limits = [warning for log in logs for warning in _list_at_limits(robot, log)]
     if robot.base_coordinates or not sum(float(link.nominal[0]) for link in robot.links) > 0:
-        return at_limits  # wiring and timing are read from forces that no ground shares
+        return at_limits  # wiring and timing need forces without contact forces of the ground
     found: list[CodedWarning] = at_limits
     longest = sorted(zip(logs, told, strict=True), key=lambda pair: -pair[0].duration)[:MAX_LOGS]
     for log, warnings in longest:
@@ -114,7 +114,7 @@ def _list_at_limits(robot: Robot, log: Log) -> list[CodedWarning]:
 
 
 def _against_columns(robot: Robot, log: Log, name: str, exclude: tuple[str, ...]) -> tuple[CodedWarning, ...]:
-    """Return the faults of one sound log; they are remembered, as `diagnose` asks for those of `identify` again."""
+    """Return the faults of one sound log; they are cached, as `diagnose` needs those of `identify` again."""
     content = blake2b(
         repr(
             (name, exclude, robot.parameters.names, [(link.own, link.nominal.tolist()) for link in robot.links])
@@ -136,5 +136,5 @@ def _against_columns(robot: Robot, log: Log, name: str, exclude: tuple[str, ...]
 
 
 def is_diagnosis_invalid(warnings: Iterable[str]) -> bool:
-    """Return whether a fault that remains in the data would make false physics, so that no cause may be confirmed from them."""
+    """Return whether a fault that remains in the data would imitate physical effects, so that no cause may be confirmed."""
     return any(get_code(warning) in SPOILING and not isinstance(warning, RepairedWarning) for warning in warnings)

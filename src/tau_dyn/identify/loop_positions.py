@@ -1,4 +1,4 @@
-"""Logs whose encoders sit at other joints of a loop than the drives: cylinders by pressure, pivots by angle."""
+"""Logs with encoders at other joints of a loop than the drives: cylinders by pressure, pivots by angle."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ AnyLog = TypeVar("AnyLog", bound=Log | Recording)
 def complete_positions(robot: Robot, logs: Sequence[AnyLog]) -> list[AnyLog]:
     """Return the logs with the positions of actuated joints that follow from those of other joints of their loops.
 
-    A log that has all of them, or too few of both, comes back as it is. Recordings on disk are never completed.
+    A log that has all of them, or too few of both, is returned unchanged. Recordings on disk are never completed.
 
     Raises:
-        CannotAnswer: The logged joints do not place the actuated ones.
+        CannotAnswer: The logged joints do not determine the actuated ones.
         LoopClosureError: The loops do not close at a logged position.
     """
     others = list_loop_joints(robot)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ModelFit(Brief):
-    """Measured and predicted forces of a model that was not fitted to them, unless it was before.
+    """Measured and predicted forces of a given model, without a fit.
 
     Attributes:
         model: The model.
@@ -38,7 +38,7 @@ class ModelFit(Brief):
 
     @property
     def measured(self) -> np.ndarray:
-        """Measured forces (N, na) [N or N m], all logs after each other, filtered as for a fit."""
+        """Measured forces (N, na) [N or N m], all logs in sequence, filtered as for a fit."""
         return np.concatenate([run.y_all for run in self.regression.runs])
 
     @property
@@ -56,7 +56,7 @@ class ModelFit(Brief):
     def fit_percent(self) -> dict[str, float]:
         """Fit of each joint, `100 (1 - |measured - predicted| / |measured - mean|)` over the samples that count.
 
-        100 is perfect, and 0 no better than the mean; nan without a sample that counts.
+        100 is perfect, and 0 is no better than the mean; nan without a sample that counts.
         """
         found = {}
         for k, joint in enumerate(self.regression.outputs):
@@ -97,7 +97,7 @@ def compare_fit(model: Model | str | Path, logs: Logs, *, exclude: tuple[str, ..
     """Predict the forces of logs by a model as it is, and compare them with the measured ones.
 
     Args:
-        model: A model, or the path of a model file. Nothing of it is fitted.
+        model: A model, or the path of a model file. None of its parameters is fitted.
         logs: Logs with `q_J` and `tau_J` of every actuated joint: each a log, the path of a file, or a table.
         exclude: Columns whose nonzero samples are left out.
 

@@ -1,12 +1,12 @@
-"""A motor's circuit from its voltage beside its current or force: resistance, back-EMF, inductance.
+"""A motor's circuit from its voltage and its current or force: resistance, back-EMF, inductance.
 
     u = R i + k_e v + L di/dt + u_0
 
-Where a log has `voltage_J` that its forces are not made of, this is a regression of its own beside the robot's. Without
-`current_J` the force stands for the current, and `R` and `L` are per unit of force. Noise of a sampled current would pull `R`
-towards zero, so the identified model's force is the instrument for the current, and its rate for the current's rate. Standard
-errors come from the scatter of 2 s blocks, which takes in what the model misses. Behind an ideal gear `k_e` at the joint is the
-joint's torque constant [N m/A]: it tells the scale of the forces without a weighed payload. Reference: Hughes & Drury 2013, 3;
+If a log has `voltage_J` and its forces are not computed from it, this is a separate regression in addition to the robot's.
+Without `current_J` the force replaces the current, and `R` and `L` are per unit of force. Noise of a sampled current would pull
+`R` towards zero, so the identified model's force is the instrument for the current, and its rate for the current's rate. Standard
+errors come from the scatter of 2 s blocks, which includes the model error. Behind an ideal gear `k_e` at the joint is the
+joint's torque constant [N m/A]: it gives the scale of the forces without a weighed payload. Reference: Hughes & Drury 2013, 3;
 Young 1970 (instrumental variables); White 1980.
 """
 
@@ -25,15 +25,15 @@ from tau_dyn.parameters import Parameter, Parameters
 
 CURRENT = "current"
 SPEED = "speed"
-"""Speeds through the filter of the forces, as the regression of a circuit needs them."""
+"""Signal of the speeds through the forces' filter, for the regression of a circuit."""
 RECORDED = (VOLTAGE, CURRENT, PULSE_WIDTH)
 """Signals of a motor that a log may hold."""
 _MIN_BLOCKS = 20
-"""Blocks of 2 s: of fewer the scatter of four numbers is itself unsure by more than a fifth."""
+"""Least number of 2 s blocks: with fewer, the scatter of four numbers is uncertain by more than a fifth."""
 
 
 def list_voltage_warnings(logs: Sequence[object], joints: Sequence[str]) -> list[str]:
-    """Return what forces made of voltages or pulse widths leave open."""
+    """Return a warning about quantities that forces computed from voltages or pulse widths do not determine."""
     made = [
         log.name for log in logs if isinstance(log, Log) for x in (VOLTAGE, PULSE_WIDTH) if makes_force(log, joints, x)
     ]
@@ -47,7 +47,7 @@ def list_voltage_warnings(logs: Sequence[object], joints: Sequence[str]) -> list
 
 
 def estimate_motor_electrics(estimate: Estimate) -> Parameters:
-    """Return resistance, back-EMF, inductance and offset of each joint whose voltage is logged beside current or force.
+    """Return resistance, back-EMF, inductance and offset of each joint whose voltage is logged with current or force.
 
     Args:
         estimate: The solved regression of the robot; its runs carry the voltages.
@@ -82,7 +82,7 @@ def list_short_voltage_warnings(estimate: Estimate) -> list[str]:
 def _estimate_joint(
     regression: Regression, runs: Sequence[RegressionRun], theta: np.ndarray, k: int
 ) -> list[Parameter]:
-    """Return one joint's circuit; nothing where the logs are too short or do not divide its terms."""
+    """Return one joint's circuit; an empty list if the logs are too short or do not separate its terms."""
     rows, current = [_build_rows(run, theta, k) for run in runs], CURRENT in runs[0].signals
     X, Z, u = (np.concatenate(parts) for parts in list(zip(*rows, strict=True))[:3])
     blocks = np.concatenate([1000 * n * np.ones(len(row[3])) + row[3] for n, row in enumerate(rows)])
@@ -112,7 +112,7 @@ def _build_rows(run: RegressionRun, theta: np.ndarray, k: int) -> tuple[np.ndarr
     """Return a run's columns (n, 4), their instruments (n, 4), voltages (n,) and blocks (n,), the filters' ends left out."""
     model, v, one = run.W_all[:, k] @ theta, run.signals[SPEED][:, k], np.ones(len(run.t))
     current = run.signals.get(CURRENT, run.y_all)[:, k]
-    # forces through the gate at both ends of a run are whole; between them reversals count as well
+    # forces through the gate at both ends of a run are complete; between them reversals count as well
     ends = np.flatnonzero(run.usable.any(axis=1))
     part = slice(ends[0], ends[-1] + 1) if ends.size else slice(0, 0)
     X, Z = (np.column_stack([x, v, CubicSpline(run.t, x)(run.t, 1), one]) for x in (current, model))

@@ -2,11 +2,11 @@ r"""Parameters with a value per log: one joint estimate, and a test of whether t
 
     y_k = W_k theta + w_k theta_k,     k = 1 .. K logs
 
-A named parameter's column `w` becomes one column a log, zero in all others; everything else is shared. A log is one campaign: all
-its pieces have one value. The test is Wald's on contrasts `L beta = 0` between the logs' values, so that a sum that only differs
-by the named parameter is compared even where no log tells it alone. As intervals take the larger of two standard errors, the test
-takes the larger of two p-values: of the autoregressive covariance (chi-square), and of the scatter of 2 s blocks (Hotelling's
-T^2 with as many degrees of freedom as blocks). Reference: Wald 1943; Hotelling 1931; Seber & Lee 2003, 4.
+A named parameter's column `w` becomes one column for each log, zero in all others; everything else is shared. A log is one
+campaign: all its pieces have one value. The test is Wald's on contrasts `L beta = 0` between the logs' values, so that sums that
+only differ by the named parameter are compared even if no log determines it alone. As intervals take the larger of two standard
+errors, the test takes the larger of two p-values: of the autoregressive covariance (chi-square), and of the scatter of 2 s
+blocks (Hotelling's T^2 with as many degrees of freedom as blocks). Reference: Wald 1943; Hotelling 1931; Seber & Lee 2003, 4.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import Z95
 
 SIGNIFICANCE_LEVEL = 0.01
-"""Chance, over all named parameters together (Bonferroni), at which equal logs are called different."""
+"""Significance level over all named parameters together (Bonferroni) for a difference between logs."""
 _TOLERANCE = 1e-6
 """Relative part of a contrast that the data may leave unseen: base combinations are known to about 1e-9."""
 
@@ -33,7 +33,7 @@ AnyLog = TypeVar("AnyLog", bound=Log | Recording)
 
 
 class LogValue(NamedTuple):
-    """A parameter's value in one log; without standard error where that log does not tell it alone."""
+    """A parameter's value in one log; without standard error if that log does not determine it alone."""
 
     log: str
     value: float
@@ -53,8 +53,8 @@ class PerLogParameter:
     Attributes:
         name: Contract name.
         unit: Its unit.
-        values: One a log.
-        p_value: Chance of such differences between logs that are equal, over all named parameters together; None where no two
+        values: One value for each log.
+        p_value: Probability of such differences between equal logs, over all named parameters together; None if no two
             logs can be compared.
     """
 
@@ -77,7 +77,7 @@ class PerLogParameter:
 
 
 def choose_per_log(parameters: Parameters, patterns: Iterable[str]) -> tuple[str, ...]:
-    """Return the free parameters that patterns name.
+    """Return the free parameters that match patterns.
 
     Raises:
         UnknownName: A pattern that no parameter has.
@@ -99,7 +99,7 @@ def choose_per_log(parameters: Parameters, patterns: Iterable[str]) -> tuple[str
 
 
 def name_apart(logs: Sequence[AnyLog]) -> list[AnyLog]:
-    """Return the logs with names of their own: files of one name in two folders are two logs."""
+    """Return the logs with distinct names: files of one name in two folders are two logs."""
     seen: dict[str, int] = {}
     named = []
     for log in logs:
@@ -135,7 +135,7 @@ def split_by_log(regression: Regression, names: Sequence[str]) -> Regression:
 
 
 def split_bodies(physics: PhysicalConstraints, parameters: Parameters) -> PhysicalConstraints:
-    """Return the constraints with a body per log, where a regression's parameters hold a body's numbers per log."""
+    """Return the constraints with one body for each log if a regression has a body's parameters per log."""
     bodies: list[InertialBody] = []
     for body in physics.bodies:
         values = {name: _list_logs(parameters, name) for name in body.parameters if name not in parameters}
@@ -149,7 +149,7 @@ def split_bodies(physics: PhysicalConstraints, parameters: Parameters) -> Physic
 
 
 def average_over_logs(estimate: Estimate, parameters: Parameters) -> Parameters:
-    """Return a model's parameters at an estimate's values; of one with a value per log, the mean of those that are told."""
+    """Return a model's parameters at an estimate's values; for a value per log, the mean of the determined ones."""
     found = []
     for p in parameters:
         if p.name in estimate.parameters:
@@ -168,9 +168,9 @@ def compare_logs(estimate: Estimate, names: Sequence[str], nominal: Parameters) 
     """Return the values per log of the named parameters and whether they differ.
 
     Args:
-        estimate: Of a regression that `split_by_log` made.
+        estimate: Estimate of a regression that `split_by_log` made.
         names: The named parameters.
-        nominal: Values before the fit: what a log reports that does not tell its own.
+        nominal: Values before the fit; they are reported for logs that do not determine their own.
     """
     found = []
     for name in names:
@@ -209,7 +209,7 @@ def compute_contrast_p_value(estimate: Estimate, contrasts: np.ndarray) -> float
 
 
 def _measure(d: np.ndarray, S: np.ndarray) -> float:
-    """Return `d' S^-1 d`, S scaled to unit diagonal; what S knows nothing of counts nothing."""
+    """Return `d' S^+ d`, S scaled to unit diagonal; directions in the null space of S count zero (pseudo-inverse)."""
     scale = 1 / np.sqrt(np.maximum(np.diag(S), 1e-300))
     return float((d * scale) @ np.linalg.pinv(S * np.outer(scale, scale), hermitian=True) @ (d * scale))
 
@@ -229,7 +229,7 @@ def _weigh(estimate: Estimate, weights: Mapping[str, float]) -> np.ndarray:
 
 
 def _list_contrasts(estimate: Estimate, names: Sequence[str]) -> np.ndarray:
-    """Return the differences of columns' parameters that the data tell (q, r), all to the one that gives most of them."""
+    """Return the differences of columns' parameters that the data determine (q, r), all to the reference that gives most."""
     base = estimate.base
     places = {name: base.names.index(name) for name in names if name in base.names}
     best = np.zeros((0, base.rank))

@@ -1,12 +1,12 @@
-r"""What logs and robot file leave open: draws of all parameters, each a robot that may exist.
+r"""Posterior draws of all parameters, given the logs and the robot file; each draw is a possible robot.
 
     beta ~ N(B theta, c C),   theta ~ N(theta_file, S),   theta consistent
 
-`B` combines parameters into base parameters. `C` is the covariance of least squares; where the scatter of 2 s blocks says
-more, its directions count, shrunk towards their mean as far as so few blocks demand (oracle approximating shrinkage). `S` is
-25 % of each body's size; parameters without a nominal value, as friction, have none. Consistent: bounds hold and each body's
-pseudo-inertia is positive definite. `c >= 1` is what the model leaves unexplained (`Widening`). Draws come from
-`truncated_normal.py`. A parameter that neither the logs nor the file tell keeps its value in all draws.
+`B` combines parameters into base parameters. `C` is the covariance of least squares. In directions in which 2 s blocks scatter
+more, their covariance is used, shrunk towards its mean as so few blocks require (oracle approximating shrinkage). `S` is
+25 % of each body's size; parameters without a nominal value, such as friction, have no prior. Consistent: bounds hold and each
+body's pseudo-inertia is positive definite. `c >= 1` accounts for the model error (`Widening`). Draws come from
+`truncated_normal.py`. A parameter that neither the logs nor the file determine keeps its value in all draws.
 
 Reference: Traversaro et al. 2016; Wensing, Kim & Slotine 2018 (consistency); Chen, Wiesel, Eldar & Hero 2010 (shrinkage);
 Birge 1932 (scatter beyond the errors).
@@ -49,8 +49,8 @@ if TYPE_CHECKING:
 
 
 _MARGINS = (1e-3, 1e-5, 1e-7)
-"""How far inside the walls the chains begin, relative to a body's size; the largest that leaves room is taken."""
-_MAX_SAMPLES = 100_000  # more fill memory and tell no more
+"""Distance of the chains' start from the constraints, relative to a body's size; the largest feasible one is used."""
+_MAX_SAMPLES = 100_000  # more fill memory without more information
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,11 +59,11 @@ class Samples(Brief):
 
     Attributes:
         model: The identified model.
-        values: A row a draw, a column a parameter, in the order of `model.parameters` (n, p).
-        widening: What the spread was widened by.
-        held: Free parameters that neither the logs nor the robot file tell; all draws have the model's value.
-        warnings: What is doubtful.
-        seed: Of the random numbers.
+        values: One row for each draw, one column for each parameter, in the order of `model.parameters` (n, p).
+        widening: Factors by which the variances were widened.
+        held: Free parameters that neither the logs nor the robot file determine; all draws have the model's value.
+        warnings: Sentences about doubtful results.
+        seed: Seed of the random numbers.
     """
 
     model: Model
@@ -89,14 +89,14 @@ class Samples(Brief):
         return self.model.with_parameters(self.model.parameters.with_values(self.values[k]))
 
     def save(self, path: str | Path, ending: str = "") -> None:
-        """Write the table as Parquet or CSV; it appears whole or not at all.
+        """Write the table as Parquet or CSV, completely or not at all.
 
         Args:
             path: The file.
             ending: `.parquet` or `.csv`; by default the file's own.
 
         Raises:
-            InputError: Another ending.
+            InputError: The ending is another one.
         """
         ending = ending or Path(path).suffix
         require_table_name(Path(path).with_suffix(ending))
@@ -107,7 +107,7 @@ class Samples(Brief):
                 self.to_frame().to_parquet(temporary, index=False)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the contract's form: what went in, and 90 % of each parameter's draws."""
+        """Return the contract's form: the inputs, and the central 90 % of each parameter's draws."""
         ends = np.quantile(self.values, (0.05, 0.5, 0.95), axis=0).T
         rows = [
             {"name": name, "unit": p.unit, "median": m, "ci90": [low, high]}
@@ -120,7 +120,7 @@ def require_table_name(path: Path) -> None:
     """Refuse a table's file that is neither Parquet nor CSV.
 
     Raises:
-        InputError: It ends otherwise.
+        InputError: It has another ending.
     """
     if path.suffix not in (".parquet", ".csv"):
         raise InputError("cannot_write", f"{path}: samples are written as .parquet or .csv")
@@ -135,17 +135,17 @@ class _Target(NamedTuple):
 
 
 def draw_samples(model: Model, estimate: Estimate, nominal: Parameters, n: int, *, seed: int = 0) -> Samples:
-    """Draw robots from what an identification leaves open.
+    """Draw robots from the posterior of an identification.
 
     Args:
         model: The identified model.
         estimate: Its solved regression.
         nominal: All parameters before the fit.
         n: Number of draws.
-        seed: Of the random numbers.
+        seed: Seed of the random numbers.
 
     Raises:
-        InputError: The number is no positive one.
+        InputError: The number is not positive.
         CannotAnswer: No consistent robot is near the estimate.
     """
     if not 0 < n <= _MAX_SAMPLES:
@@ -171,7 +171,7 @@ def draw_samples(model: Model, estimate: Estimate, nominal: Parameters, n: int, 
 def _build_target(
     estimate: Estimate, C: np.ndarray, nominal: Parameters, sizes: np.ndarray, factor: float
 ) -> tuple[_Target, tuple[str, ...]]:
-    """Return the distribution without walls, and the free parameters that nothing tells."""
+    """Return the distribution without constraints, and the free parameters that neither data nor prior determine."""
     base, B = estimate.base, combine_free(estimate)
     told = np.isfinite(sizes)
     varying = told.copy()
@@ -194,7 +194,7 @@ def _build_target(
 
 
 def _build_set(target: _Target, parameters: Parameters, bodies: list[InertialBody]) -> ConvexSet:
-    """Return where bounds hold and bodies are consistent, in the target's coordinates; each wall in units of its size."""
+    """Return the set with all bounds and consistent bodies, in the target's coordinates; each constraint in units of its size."""
     place = {name: k for k, name in enumerate(target.names)}
     bounds = [
         (side * (target.mean[k] - end), side * target.factor[k])
@@ -229,10 +229,10 @@ def _build_set(target: _Target, parameters: Parameters, bodies: list[InertialBod
 
 
 def _find_start(inside: ConvexSet) -> np.ndarray:
-    """Return the most likely point (d,) that keeps a margin to all walls.
+    """Return the most likely point (d,) that keeps a margin to all constraints.
 
     Raises:
-        CannotAnswer: There is none.
+        CannotAnswer: No point keeps a margin.
     """
     d = inside.B.shape[1]
     if inside.contains(np.zeros((1, d)))[0]:

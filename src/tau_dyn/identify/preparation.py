@@ -1,27 +1,27 @@
-"""How logs are filtered and masked, chosen from what they show, and which samples and pieces that leaves.
+"""Filters and masks of logs, chosen from the data, and the samples and pieces that remain.
 
 One rule for every log, no constant in physical units:
 
-1. the motion band f_b of each axis against its encoder's noise (`log/filtering.py`), the widest axis counting;
+1. the motion band f_b of each axis against its encoder's noise (`log/filtering.py`), of the axis with the widest band;
 2. forces and columns are low-passed at f_w = min(5 f_b, f_noise, 0.16 f_s): wide enough to keep the friction's edges, not so wide
-   that acceleration noise, which sits in the columns, exceeds 1e-4 of the acceleration's power and biases the fit;
-3. positions are low-passed at f_q = min(8 f_w, 0.4 f_s): whatever it smears at a reversal is over long before f_w is;
-4. decimation to 2.5 f_w, just above what the filter passes;
-5. an axis' sign is unsure where its speed is below ten times its own velocity noise (encoder noise through filter and
+   that acceleration noise, which is in the columns, exceeds 1e-4 of the acceleration's power and biases the fit;
+3. positions are low-passed at f_q = min(8 f_w, 0.4 f_s): its transient at a reversal is much shorter than that of f_w;
+4. decimation to 2.5 f_w, just above twice the filter's cutoff;
+5. an axis' sign is unsure when its speed is below ten times its own velocity noise (encoder noise through filter and
    differentiation) or reverses; samples within two periods of f_q, the first filter's memory, are gated out there. After one
    period its ringing is still 4 % of the step in friction, which biased Coulomb friction by two standard errors in 100 s of L1
-   at 1 kHz (`experiments/recovery.py`). Positions that were smoothed before they were logged have no noise to go by; their
-   axis rests below 2 % of its own fast speed.
+   at 1 kHz (`experiments/recovery.py`). Positions that were smoothed before they were logged show no noise; their
+   axis counts as at rest below 2 % of its own fast speed.
 
-How the answer moves with each factor on EMPS and TX40 stands in `experiments/preparation_sensitivity.py`: little with the
-first four; with the gate's width, TX40's Coulomb friction by up to 4 %, as its friction is not quite the law at low speed.
+`experiments/preparation_sensitivity.py` shows the sensitivity of the estimates to each factor on EMPS and TX40. It is small for
+the first four. The gate's width changes TX40's Coulomb friction by up to 4 %, as its friction deviates from the law at low speed.
 
-A zero-phase low-pass disturbs both ends of a piece, so a piece gives rows only where it is longer than both ends together; others
-are left out and said. What the rest can tell is counted in independent information: a motion of band f_b gives `2 f_b T`
-independent values in a time T (Nyquist), however fast it was sampled.
+A zero-phase low-pass disturbs both ends of a piece, so a piece gives rows only if it is longer than both ends together; others
+are left out and reported. The information of the rest is counted in independent values: a motion of band f_b gives `2 f_b T`
+independent values in a time T (Nyquist), at any sampling rate.
 
-A gate is 1 where a sample may be used and 0 where not, with ramps between, two periods of the position filter's cutoff long: a
-sharp edge would fold the acceleration's noise, large above the band of the filter that follows, into it.
+A gate is 1 for a sample that may be used and 0 for others, with ramps between, two periods of the position filter's cutoff
+long: a sharp edge would fold the acceleration's noise, large above the band of the filter that follows, into it.
 """
 
 from __future__ import annotations
@@ -68,11 +68,11 @@ MIN_RATE_HZ = 5.0
 """A log sampled more slowly shows no dynamics; mostly its clock is not in seconds."""
 
 MEMORY = 2.0
-"""Half-width of what the first filter makes of a step, in periods of its cutoff; 0.3 % of the step is left after it."""
+"""Half-width of the first filter's response to a step, in periods of its cutoff; 0.3 % of the step is left after it."""
 
 
 def refuse_slow_clocks(logs: Sequence[Log]) -> None:
-    """Refuse logs whose clock is hardly in seconds.
+    """Refuse logs whose clock is probably not in seconds.
 
     Raises:
         InputError: A log has fewer than `MIN_RATE_HZ` samples a second.
@@ -89,7 +89,7 @@ def choose_preparation(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ..
     """Choose filters and masks for logs that will be fitted together.
 
     Args:
-        robot: Gives the actuated joints.
+        robot: The robot, with the actuated joints.
         logs: Even stretches.
         exclude: Columns whose nonzero samples are left out.
 
@@ -139,9 +139,9 @@ def _choose_floating_cutoffs(
 ) -> tuple[float, float]:
     """Return the low-passes [Hz] of forces and of positions of a robot with a floating base.
 
-    The base's pose is much noisier than encoders, and its accelerations stand in all columns. So forces and columns pass up to
-    where the noisiest coordinate of the base has 1e-4 of its acceleration's power, also where feet that step move faster: the
-    equations hold of any part of the motion. Positions pass more than that, so that a step of a foot stays one.
+    The base's pose is much noisier than encoders, and its accelerations are in all columns. So forces and columns pass up to
+    the frequency at which the noisiest coordinate of the base has 1e-4 of its acceleration's power, even if stepping feet move
+    faster: the equations hold for any part of the motion. Positions pass more than that, so that a step of a foot stays sharp.
     """
     n = len(robot.base_coordinates)
     edges = [band.noise_edge_hz[:n][band.edge_hz[:n] > 0] for band in bands]
@@ -156,8 +156,8 @@ def _choose_floating_cutoffs(
 def compute_base_cutoff(preparation: Preparation, rate_hz: float) -> float:
     """Return the low-pass [Hz] of a floating base's pose, at most that of the joints' positions.
 
-    Its noise is large, and stands in products: of the noise `n` of an angle with that of its acceleration the mean is
-    `-mean(dn/dt^2)`, which no later filter takes out.
+    Its noise is large and enters products: the product of an angle's noise `n` with its acceleration's noise has the mean
+    `-mean((dn/dt)^2)`, which no later filter removes.
     """
     return min(POSITION_FACTOR * preparation.force_cutoff_hz, preparation.position_cutoff_hz, 0.4 * rate_hz)
 
@@ -165,7 +165,7 @@ def compute_base_cutoff(preparation: Preparation, rate_hz: float) -> float:
 CODE = "short_log"
 
 BAND_SHARE = 0.1
-"""Part of the longest piece's length from which a piece has a say in the filters; a shorter one resolves no band."""
+"""Part of the longest piece's length from which a piece counts in the choice of filters; a shorter one resolves no band."""
 
 INFORMATION_PER_PARAMETER = 2.0
 """Independent values for each of `p` base parameters below which a log is called short: fewer than `p` are left for the residual,
@@ -182,7 +182,7 @@ AnyPiece = TypeVar("AnyPiece", bound=Log | EvenSegment | InMemorySegment)
 
 
 class Kept(NamedTuple):
-    """Indices of the pieces that are long enough, and what is said of the others."""
+    """Indices of the pieces that are long enough, and warnings about the others."""
 
     index: tuple[int, ...]
     warnings: tuple[str, ...]
@@ -193,7 +193,7 @@ class Kept(NamedTuple):
 
 
 def select_long(pieces: Sequence[AnyPiece]) -> list[AnyPiece]:
-    """Return the pieces by which filters are chosen: long enough to show a band, or of a lower rate than those."""
+    """Return the pieces for the choice of filters: those long enough to resolve a band, and those of a lower rate."""
     longest = max(piece.n_samples / piece.rate_hz for piece in pieces)
     long = [piece for piece in pieces if piece.n_samples / piece.rate_hz >= BAND_SHARE * longest]
     slowest_hz = min(piece.rate_hz for piece in long)
@@ -203,15 +203,15 @@ def select_long(pieces: Sequence[AnyPiece]) -> list[AnyPiece]:
 def keep_long(
     pieces: Sequence[Log | EvenSegment | InMemorySegment], cutoff_hz: float, factor: Callable[[float], int]
 ) -> Kept:
-    """Tell the pieces that give rows from those that are shorter than the ends that a low-pass disturbs.
+    """Separate the pieces that give rows from those that are shorter than the ends that a low-pass disturbs.
 
     Args:
         pieces: Even stretches, of one log or of several.
         cutoff_hz: The lowest cutoff of the filters [Hz].
-        factor: From a sampling rate [Hz] to the decimation.
+        factor: Function from a sampling rate [Hz] to the decimation.
 
     Raises:
-        TooShort: None is long enough.
+        TooShort: No piece is long enough.
     """
     needed = [compute_min_samples(cutoff_hz, piece.rate_hz, factor(piece.rate_hz)) for piece in pieces]
     index = tuple(k for k, (piece, n) in enumerate(zip(pieces, needed, strict=True)) if piece.n_samples >= n)
@@ -222,12 +222,12 @@ def keep_long(
 
 
 def compute_min_samples(cutoff_hz: float, rate_hz: float, factor: int) -> int:
-    """Return how many samples a piece has at least that gives a row between the ends that a low-pass disturbs."""
+    """Return the least number of samples of a piece that gives a row between the ends that a low-pass disturbs."""
     return 2 * (compute_edge_samples(cutoff_hz, rate_hz) + factor) + 1
 
 
 def refuse_short(pieces: Sequence[Log | EvenSegment | InMemorySegment], needed_s: float) -> TooShort:
-    """Return the refusal of logs without a piece of the length that the filters need [s]."""
+    """Return the error for logs without a piece of the length that the filters need [s]."""
     names = ", ".join(dict.fromkeys(piece.name for piece in pieces))
     longest = max((piece.n_samples / piece.rate_hz for piece in pieces), default=0.0)
     return TooShort(
@@ -257,7 +257,7 @@ def _left_out(
 
 
 def list_crumbs(logs: Sequence[Log | Recording]) -> list[str]:
-    """Return warnings about pieces between gaps of too few samples for anything, which no list of pieces holds."""
+    """Return warnings about pieces between gaps that are too short to be listed as pieces."""
     said = []
     for log in logs:
         n, seconds = count_short_segments(log) if isinstance(log, Log) else (0, 0.0)
@@ -268,7 +268,7 @@ def list_crumbs(logs: Sequence[Log | Recording]) -> list[str]:
 
 
 def count_information(regression: Regression, band_hz: float | None = None) -> float:
-    """Return how many independent values a regression holds: twice the motion's band times its usable time, over all outputs.
+    """Return the number of independent values in a regression: twice the motion's band times its usable time, over all outputs.
 
     Args:
         regression: The data.
@@ -283,7 +283,7 @@ def _step(t: np.ndarray) -> float:
 
 
 def list_information_warnings(regression: Regression, rank: int, band_hz: float | None = None) -> list[str]:
-    """Return a warning where the logs hold little independent information for a rank."""
+    """Return a warning if the logs hold little independent information for a rank."""
     if regression.everything is not None:
         return []  # a recording larger than memory
     held = count_information(regression, band_hz)
@@ -315,7 +315,7 @@ def refuse_missing_temperature(model: Model, log: Log, measured: Mapping[str, np
 
 
 def refuse_missing_campaign(model: Model, names: Sequence[str]) -> None:
-    """Refuse fewer logs than an effect tells apart."""
+    """Refuse fewer logs than an effect refers to."""
     for effect in model.effects:
         number = int(effect.settings.get("number", 0))
         if "campaign" in effect.needs and number >= len(names):
@@ -331,7 +331,7 @@ SATURATION_RATIO = 0.999
 
 
 def compute_gate(log: Log, motion: Motion, model: Model, preparation: Preparation, rate: float) -> np.ndarray:
-    """Return 1 where each joint's sample may be used and 0 where not (N, na), at the log's own rate."""
+    """Return 1 for each joint's usable samples and 0 for others (N, na), at the log's own rate."""
     threshold = preparation.speed_threshold
     shut = find_unsure_samples(motion.v, threshold)
     for effect in model.effects:
@@ -351,7 +351,7 @@ def compute_gate(log: Log, motion: Motion, model: Model, preparation: Preparatio
 def compute_contact_gate(
     log: Log, q: np.ndarray, model: Model, preparation: Preparation, rate: float
 ) -> tuple[ContactElimination, np.ndarray]:
-    """Return how contacts leave the equations at positions (N, na), and 1 where an equation may be used and 0 where not.
+    """Return the elimination of contacts from the equations at positions (N, na), and 1 for a usable equation, 0 for others.
 
     Touching down and lifting off spread as far as the first filter's memory, so contacts last longer by it on both sides. An
     equation holds the friction of several joints, of which one or another always reverses; no sample is left out for that.
@@ -370,7 +370,7 @@ def compute_contact_gate(
 def compute_expected_direction(v: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """Return the mean sign (N, na) of true speeds, given measured ones (N, na) with normal noise (na,): `erf(v / sqrt(2) noise)`.
 
-    It takes the place of the sign where samples next to a reversal stay in the fit.
+    It replaces the sign if samples next to a reversal stay in the fit.
     """
     return np.where(noise > 0, erf(v / (np.sqrt(2) * np.maximum(noise, 1e-300))), np.sign(v))
 
@@ -409,7 +409,7 @@ def find_excluded_samples(
 
 
 def refuse_jumps(log: Log, robot: Robot, columns: tuple[str, ...]) -> None:
-    """Refuse positions that no joint can follow, as filters would make motion of them; samples that a column flags may jump.
+    """Refuse positions that no joint can follow, as filters would turn jumps into motion; samples that a column flags may jump.
 
     Raises:
         InputError: A joint's position jumps.

@@ -24,10 +24,10 @@ from tau_dyn.mechanism import Mechanism, build_mechanism
 from tau_dyn.robot import LENGTH_POWERS, BodyPrior, Robot, compute_body_radius
 
 MODEL_ERROR = 0.05
-"""Least residual of a joint, as a share of its force: what compliance, cables and heat leave of sound robots."""
+"""Least residual of a joint, as a share of its force: the effect of compliance, cables and heat in sound robots."""
 
 PAYLOAD_SHARE = 0.2
-"""Standard deviation of what the last bodies carry beyond the file, as a share of the robot's mass."""
+"""Standard deviation of the mass that the last bodies carry beyond the file, as a share of the robot's mass."""
 
 PAYLOAD_REACH_M = 0.15
 """Distance of a payload's centre from its link's origin, for the size of its moments [m]."""
@@ -36,7 +36,7 @@ ROTOR_INERTIA_KG_M2 = 5.0
 """Standard deviation of a geared arm's reflected rotor inertia [kg m^2]; large arms reach 10."""
 
 MIN_MASS_SHARE = 0.3
-"""No body weighs less than this share of the robot file's mass; lighter ones are another unit."""
+"""Least mass of a body, as a share of the robot file's; a smaller mass means another unit."""
 
 OFFSET_SHARE = 1.0
 """Standard deviation of a drive's constant offset (current sensor, balancing spring), as a share of its force: no mean exceeds
@@ -49,7 +49,7 @@ N_COMPARED = 700
 """Samples on which readings are compared."""
 
 MIN_ROWS = 5
-"""Fewer samples of a joint are no evidence."""
+"""Least number of samples of a joint that count as evidence."""
 
 SCREENING_STEP = 5
 """All readings are first compared on every fifth of these samples; the best are fitted to all."""
@@ -66,7 +66,7 @@ class Design:
         speed: Velocities as read (n, na), for friction.
         full: Regressor (n, na, p).
         static: Its part from gravity (n, na, p).
-        subtracted: Share of a part that a reading has subtracted from forces.
+        subtracted: Share of a part that a reading takes as subtracted from forces.
     """
 
     speed: np.ndarray
@@ -97,7 +97,7 @@ class LogModel:
 
     @classmethod
     def of(cls, robot: Robot, excerpt: Excerpt, mean: np.ndarray) -> LogModel:
-        """Take every so manieth sample; `mean` is the mean force of the whole log (na,)."""
+        """Take every n-th sample; `mean` is the mean force of the whole log (na,)."""
         every = max(1, len(excerpt.q) // N_COMPARED)
         used = excerpt.used[::every]
         q, v, a, tau = (x[::every] for x in (excerpt.q, excerpt.v, excerpt.a, excerpt.tau))
@@ -114,7 +114,7 @@ class LogModel:
 
     @cached_property
     def prior(self) -> np.ndarray:
-        """How parameters follow independent unknowns of unit variance (p, n)."""
+        """Map from independent unknowns of unit variance to parameters (p, n)."""
         return _prior(self.robot, self.is_bare)
 
     def counted(self, fit: ReadingFit) -> LogModel:
@@ -125,7 +125,7 @@ class LogModel:
     def estimate_noise(self, fit: ReadingFit) -> np.ndarray:
         """Return the power of white noise in each joint's residual (na,), from its third differences.
 
-        They leave nothing of a parabola, and of white noise 20 times its power. Gaps are left out, and jumps are clipped.
+        Third differences remove a parabola and multiply the power of white noise by 20. Gaps are left out, and jumps are clipped.
         """
         noise, order = np.zeros(self.robot.na), 3
         growth = comb(2 * order, order)
@@ -136,11 +136,11 @@ class LogModel:
         return noise
 
     def thinned(self) -> LogModel:
-        """Return the model with fewer samples that count as much."""
+        """Return the model with fewer samples and the same effective number of samples."""
         return self._taking(slice(None, None, SCREENING_STEP), 1.0)
 
     def bare(self, test: ReadingTest) -> LogModel:
-        """Return the model of the robot without a payload, for the size of numbers: a payload and a torque constant are alike."""
+        """Return the model without a payload, to estimate numbers: a payload resembles an error of the torque constant."""
         return replace(self, is_bare=True, test=test)
 
     def halves(self) -> tuple[LogModel, LogModel]:
@@ -153,13 +153,13 @@ class LogModel:
         return replace(self, q=q, v=v, a=a, tau=tau, used=used, counts=share * self.counts)
 
     def motion(self, reading: Rewiring) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return positions, velocities and accelerations (n, na) as a reading has them."""
+        """Return positions, velocities and accelerations (n, na) under a reading."""
         q_from = list(reading.q_from)
         q, v, a = (x[:, q_from] / np.array(reading.q_scale) for x in (self.q, self.v, self.a))
         return q, v * reading.t_scale, a * reading.t_scale**2
 
     def design(self, reading: Rewiring) -> Design | None:
-        """Return the columns of a reading's motion; None where the robot cannot move so."""
+        """Return the columns of a reading's motion; None if the robot cannot move like this."""
         q, v, a = self.motion(reading)
         rest = np.zeros_like(q)
         try:
@@ -184,7 +184,7 @@ class LogModel:
         return build
 
     def fit(self, reading: Rewiring, design: Design | None = None) -> ReadingFit | None:
-        """Return the fit of the robot to the log under a reading; None where the robot cannot move so."""
+        """Return the fit of the robot to the log under a reading; None if the robot cannot move like this."""
         design = self.design(reading) if design is None else design
         return None if design is None else self.solve(design, reading)
 
@@ -219,7 +219,7 @@ class LogModel:
         return ReadingFit(log_posterior - occam + float(zero), log_posterior, power, prior, whole)
 
     def _read(self, design: Design, reading: Rewiring) -> tuple[np.ndarray, np.ndarray]:
-        """Return columns of all unknowns (n, na, m) and the file's force (n, na), less what a reading has subtracted."""
+        """Return columns of all unknowns (n, na, m) and the file's force (n, na), minus the part that a reading lacks."""
         na, values = self.robot.na, self.robot.parameters.values
         full, force = design.full @ self.prior, design.full @ values
         for j, lack in enumerate(reading.lacks):
@@ -288,9 +288,9 @@ def _bounds(robot: Robot, prior: np.ndarray) -> np.ndarray:
 
 
 def _prior(robot: Robot, is_bare: bool) -> np.ndarray:
-    """Return how parameters follow independent unknowns of unit variance (p, n): `BodyPrior.rough`, more at the last bodies.
+    """Return the map from independent unknowns of unit variance to parameters (p, n): `BodyPrior.rough`, more at the last bodies.
 
-    Drive inertia: three times what the joint itself moves, and 5 kg m^2 where gears reflect a rotor.
+    Drive inertia: three times the inertia that the joint moves, and at least 5 kg m^2 if gears reflect a rotor.
     """
     names = robot.parameters.names
     total = sum(max(link.nominal[0], 0.0) for link in robot.links) or 1.0

@@ -1,14 +1,14 @@
-"""From a model and torque logs to a `Regression`: differentiate, evaluate every column, filter both sides alike, mask.
+"""A `Regression` from a model and torque logs: differentiate, evaluate every column, filter both sides equally, mask.
 
-The order matters. Positions are low-passed only enough to be differentiated, and forces alike; the columns, signs
+The order matters. Positions are low-passed only enough to be differentiated, and forces equally; the columns, signs
 included, are evaluated at the full rate. A gate `g` then takes out the samples at which a sign is not known (reversals,
 speeds within the noise) or that the user excludes, *before* the low-pass `F` that both sides share:
 
     y = F(g tau) / F(g),   W = F(g Y) / F(g)
 
-so that `y = W theta` stays exact and nothing leaks out of a reversal into its neighbourhood (normalised convolution,
-Knutsson & Westin 1993). Samples where less than half of the filter's weight is left are masked; the rest are decimated. The gate
-itself stands in `preparation.py`.
+so that `y = W theta` stays exact and a reversal does not leak into its neighbourhood (normalised convolution,
+Knutsson & Westin 1993). Samples at which less than half of the filter's weight is left are masked; the rest are decimated. The
+gate is chosen in `preparation.py`.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ from tau_dyn.log import (
 from tau_dyn.model import Model
 
 MIN_SHARE = 0.5
-"""Share of the filter's weight that must lie on usable samples."""
+"""Share of the filter's weight that must be on usable samples."""
 MIN_FLIGHT_SHARE = 0.15
 """The same for a joint of a leg in the air: flights are shorter than the filter's memory, and most would be lost."""
 MIN_FLIGHT_SAMPLES = 30
@@ -82,16 +82,16 @@ def build_regression(
     """Build the regression of a model on torque logs.
 
     Args:
-        model: Gives the columns: its robot's parameters, then its effects'.
+        model: Model that gives the columns: its robot's parameters, then its effects'.
         logs: Logs with `q_J` and `tau_J` for every actuated joint; never joined across their ends.
         preparation: Filters and masks; by default chosen from the logs themselves.
-        exclude: Columns whose nonzero samples are left out, where no preparation is given.
+        exclude: Columns whose nonzero samples are left out, if no preparation is given.
         at: The same model at the values from which signals such as forces and loads are computed; by default `model`'s own.
-        campaigns: Names of logs that are numbered before these, for effects that tell one recording from others.
+        campaigns: Names of logs that are numbered before these, for effects that distinguish recordings.
 
     Raises:
         InputError: A log lacks a column that the robot or an effect needs, or the robot cannot reach a logged position.
-        CannotAnswer: No piece is long enough for the filters, or the masks leave nothing.
+        CannotAnswer: No piece is long enough for the filters, or the masks leave no sample.
 
     Example:
         >>> t, w = np.arange(0.0, 10.0, 0.005), np.array([[3.0], [7.0]])
@@ -123,7 +123,7 @@ def build_regression_of_pieces(
     at: Model | None,
     campaigns: Sequence[str],
 ) -> tuple[Regression, Kept]:
-    """Build the regression on even stretches, and say which of them are long enough for it; see `build_regression`."""
+    """Build the regression on even stretches, and return which of them are long enough; see `build_regression`."""
     if not pieces:
         raise InputError("missing_input", "no log was given")
     preparation = preparation or choose_preparation(model.robot, select_long(pieces), exclude)
@@ -155,18 +155,18 @@ def _leave_out_rare(runs: list[RegressionRun], n_base: int) -> list[RegressionRu
 
 @dataclass(frozen=True, eq=False)
 class PreparedSegment:
-    """One even stretch of a log, differentiated and gated, from which any effect's columns can be made.
+    """One even stretch of a log, differentiated and gated, from which any effect's columns can be computed.
 
     Attributes:
         log: The stretch.
-        motion: Its motion at the log's rate, with the signals asked for.
+        motion: Its motion at the log's rate, with the requested signals.
         force: Forces (N, na) [N or N m].
-        gate: 1 where a sample counts, 0 where not (N, na).
+        gate: 1 for a sample that counts, 0 for others (N, na).
         preparation: Filters and masks.
         usable: Which decimated samples a fit may use (n, na).
-        weight: Share of the filter's weight on usable samples (n, na); 1 where not usable.
+        weight: Share of the filter's weight on usable samples (n, na); 1 for samples that are not usable.
         rate_hz: Rate of the log [Hz].
-        contacts: Of a floating base, how the forces of the ground leave its equations, before the filter.
+        contacts: Elimination of the ground's forces from a floating base's equations, before the filter; None without.
     """
 
     log: Log
@@ -185,12 +185,12 @@ class PreparedSegment:
         return self.preparation.factor(self.rate_hz)
 
     def close_after(self, late: np.ndarray) -> PreparedSegment:
-        """Return it with every closed stretch of the gate held closed for longer.
+        """Return the segment with every closed stretch of the gate held closed for longer.
 
-        A reversal reaches a force that is logged late by `late` only then, and its step would leak into the samples that follow.
+        A reversal appears later by `late` in a force that is logged late, and its step would leak into the samples that follow.
 
         Args:
-            late: Of each joint's force (na,) [s]; of a force logged early, negative, stretches begin so much sooner.
+            late: Delay of each joint's force (na,) [s]; if negative (logged early), closed stretches begin sooner by it.
         """
         samples = np.round(late * self.rate_hz).astype(int)
         gate = np.column_stack([hold_closed(x, int(n)) for x, n in zip(self.gate.T, samples, strict=True)])
@@ -203,13 +203,13 @@ class PreparedSegment:
         return lowpass_and_decimate(x, self.preparation.force_cutoff_hz, self.rate_hz, self.factor)
 
     def without_contacts(self, rows: np.ndarray) -> np.ndarray:
-        """Return forces (N, na) or columns (N, na, p) with the forces of the ground taken out; see `legged/contacts.py`."""
+        """Return forces (N, na) or columns (N, na, p) without the forces of the ground; see `legged/contacts.py`."""
         return rows if self.contacts is None else self.contacts.project(rows)
 
     def columns(self, Y: np.ndarray, *, gated: bool = True) -> np.ndarray:
-        """Return columns (N, na, p) as the fit sees them (n, na, p), joint by joint; many do not touch a joint.
+        """Return columns (N, na, p) after filter and decimation (n, na, p), joint by joint; many are zero for a joint.
 
-        Samples are laid out last, as filters like them.
+        Samples are last in memory, for fast filters.
         """
         Y = self.without_contacts(Y)
         N, na, p = Y.shape
@@ -336,9 +336,9 @@ def prepare_segment(
         preparation: Filters and masks.
         signals: Signals of the motion beyond those that the log's own columns give.
         needs: Names of computed signals wanted beyond those that the model's effects need.
-        smooth_hz: Low-pass of the positions from which speeds and accelerations are made [Hz], where they are to be smoother
-            than the direction of motion and the gate, which keep `preparation`'s; forces are then low-passed once only.
-        rate_hz: Rate of the log [Hz], where it is part of a longer one whose rate is known better.
+        smooth_hz: Low-pass of the positions for speeds and accelerations [Hz], if these should be smoother than the direction
+            of motion and the gate, which keep `preparation`'s; forces are then low-passed only once.
+        rate_hz: Rate of the log [Hz], if it is part of a longer one whose rate is known better.
     """
     joints, rate = model.robot.actuated, rate_hz or log.rate_hz
     dt = 1 / rate
@@ -381,7 +381,7 @@ def prepare_segment(
 
 
 def _nothing_left(model: Model, logs: list[Log], preparation: Preparation) -> CannotAnswer:
-    """Return why the gates leave nothing: saturated or flagged forces, or no steady motion."""
+    """Return why the gates leave no sample: saturated or flagged forces, or no steady motion."""
     robot = model.robot
     bad = np.concatenate(
         [find_excluded_samples(log, robot.actuated, robot.effort_limit, preparation.exclude) for log in logs]

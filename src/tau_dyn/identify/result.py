@@ -1,4 +1,4 @@
-"""What `identify` answers, and its JSON form."""
+"""The result of `identify`, and its JSON form."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SMALL_SHARE = 0.025
-"""Standard error of a number, relative to its body's size, below which it is small: a tenth of a rough file's."""
+"""Standard error of a parameter, relative to its body's size, that counts as small: a tenth of that of a rough file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,15 +43,15 @@ class ForceErrors:
     """Errors of predicted forces on some logs: the one definition of `identify`, `diagnose` and of every validation.
 
     Residual = measured - predicted. Both went through the filter that was chosen from the training logs, and masked samples are
-    left out (`preparation.py`). Means stay in.
+    left out (`preparation.py`). Means are not subtracted.
 
     Attributes:
         joints: Actuated joints.
         rms: Residual rms of each joint over the used samples (na,) [N or N m].
         relative_error_percent: `100 norm(residual) / norm(tau)` over the used samples of all joints.
         per_joint_percent: The same for each joint (na,).
-        all_samples: The same three numbers without masks; None inside itself.
-        unjudged: Joints of which the masks leave no sample; their zeros say nothing.
+        all_samples: The same three numbers without masks; None inside this object itself.
+        unjudged: Joints without any unmasked sample; their zeros carry no information.
         used_share: Share of the samples that the masks leave.
         used_shares: The same for each joint; empty inside `all_samples`.
     """
@@ -116,19 +116,19 @@ class Identification(Shown):
         model: The model at its identified values; save it, simulate it, feed it forward.
         estimate: The solved regression.
         train: Errors on the training logs.
-        holdout: Errors on data used for nothing else; None where there were none.
-        holdout_how: How the held-out errors were had, in words.
+        holdout: Errors on held-out data; None without such data.
+        holdout_how: How the held-out errors were computed, in words.
         held: The held-out regression, for plots.
         nominal: All parameters before the fit.
         friction: Name of the friction model; empty for a model file.
-        warnings: What is doubtful, one sentence each.
-        equivalent: Descriptions the data cannot tell apart.
-        seed: Seed of whatever was random.
-        logs: The training logs, for going on with them.
-        force_offset: How late forces were logged; None where it was not looked at.
+        warnings: Sentences about doubtful results, one each.
+        equivalent: Models that the data cannot distinguish.
+        seed: Seed of the random states.
+        logs: The training logs, for further steps.
+        force_offset: Delay of the logged forces; None if it was not estimated.
         per_log: Parameters that have a value per log; `model` holds their mean.
-        motors: Each motor's circuit, where its voltage is logged beside current or force.
-        bands: Bands that should hold 90 % of the held-out samples; None where there are none or rows are on disk.
+        motors: Each motor's circuit, if its voltage is logged with current or force.
+        bands: Bands that should hold 90 % of the held-out samples; None without held-out samples or if rows are on disk.
         changes: Changes within a log, of its force, friction, tool or base.
     """
 
@@ -152,7 +152,7 @@ class Identification(Shown):
 
     @property
     def parameters(self) -> Parameters:
-        """Identified parameters; of one with a value per log, the mean."""
+        """Identified parameters; for a parameter with a value per log, the mean."""
         return self.model.parameters
 
     def sample(self, n: int, *, seed: int = 0) -> Samples:
@@ -160,10 +160,10 @@ class Identification(Shown):
 
         Args:
             n: Number of draws.
-            seed: Of the random numbers.
+            seed: Seed of the random numbers.
 
         Raises:
-            InputError: The number is no positive one, or parameters have a value per log.
+            InputError: The number is not positive, or parameters have a value per log.
             CannotAnswer: No consistent robot is near the estimate.
         """
         if self.per_log:
@@ -180,16 +180,16 @@ class Identification(Shown):
     def rows(self) -> list[dict[str, Any]]:
         """Return the parameter table in the contract's form.
 
-        What cannot be identified alone has its nominal value as `value` and no standard error; `split_value` is what the
-        model holds: one of many splits of the identified combinations that give the same forces.
+        A parameter that cannot be identified alone has its nominal value as `value` and no standard error; `split_value` is its
+        value in the model: one of many splits of the identified combinations that give the same forces.
         """
         return [self._row(p) for p in self.parameters if p.free]
 
     def base_rows(self) -> list[dict[str, Any]]:
         """Return the base parameters with their expressions.
 
-        A fixed drive inertia that one contains is a term of its expression, and its value is in the value: the data determine the
-        sum, whatever value was fixed.
+        A fixed drive inertia that a base parameter contains is a term of its expression, and its value is part of the base
+        parameter's value: the data determine the sum for any fixed value.
         """
         base, rows = self.estimate.base, []
         before = self.nominal.select(base.names).values
@@ -212,7 +212,7 @@ class Identification(Shown):
 
     @cached_property
     def determined_combinations(self) -> DeterminedCombinations | None:
-        """Combinations that the logs tell better than the robot file; None where they tell every base parameter."""
+        """Combinations that the logs determine better than the robot file; None if they determine every base parameter."""
         return find_determined_combinations(self.estimate, BodyPrior.of(self.model.robot).rough)
 
     def combination_rows(self) -> list[dict[str, Any]]:
@@ -245,11 +245,11 @@ class Identification(Shown):
 
     @property
     def estimator(self) -> str:
-        """Name of the estimator that answered; see `estimators.py`."""
+        """Name of the estimator that was used; see `estimators.py`."""
         return self.estimate.estimator
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the contract's JSON result, without what the command adds (version, inputs, status)."""
+        """Return the contract's JSON result, without the keys that the command adds (version, inputs, status)."""
         fixed = [p for p in self.parameters if not p.free]
         return {
             "seed": self.seed,
@@ -315,9 +315,9 @@ def list_plotted_segments(regression: Regression, theta: np.ndarray) -> list[Plo
 
 
 def list_poorly_determined(estimate: Estimate, sizes: Mapping[str, float]) -> list[str]:
-    """Return the parameters that the data show by themselves, with a standard error above 30 %.
+    """Return the parameters that the data identify alone, with a standard error above 30 %.
 
-    A number near zero whose standard error is small against its body is known well.
+    A value near zero whose standard error is small compared with its body's size is not in the list.
 
     Args:
         estimate: The fit.
@@ -336,7 +336,7 @@ def _build_motor_row(p: Parameter) -> dict[str, Any]:
 
 
 def _uncertainty(value: float, stderr: float | None, p: Parameter | None) -> dict[str, Any]:
-    """Return standard error and interval, the interval within the parameter's bounds where it has any."""
+    """Return standard error and interval, the interval within the parameter's bounds, if any."""
     if stderr is None:
         return {"stderr": None, "ci95": None, "determined": False}
     lower, upper = (p.lower, p.upper) if p is not None else (-inf, inf)

@@ -1,12 +1,12 @@
-"""The regression of recordings larger than memory: blocks computed side by side, summed up in their order, and forgotten.
+"""The regression of recordings larger than memory: blocks are computed in parallel, summed in order, and discarded.
 
-Filters forget exponentially. A block is read with so many samples more on both sides that what is left of its cut ends is below
-rounding, goes through the same preparation as a whole log, and gives up the rows of its neighbourhood. So blocks need nothing
-of each other: they run side by side and in any process, and where they are cut changes no row by more than rounding.
+The response of a filter decays exponentially. A block is read with so many extra samples on both sides that the effect of its cut
+ends is below rounding. It goes through the same preparation as a whole log, and the rows of the extra samples are dropped. Blocks
+are therefore independent: they run in parallel and in any process, and the place of a cut changes no row by more than rounding.
 
-What stays is the outputs' triangular factors, the decimated rows in a temporary file (for the covariance, which needs the
-residuals in order), and some blocks in full, for a page to draw. The sum is taken block by block in order, whoever computed
-them, so one thread, many, or a cluster give the same bits.
+The results kept are the outputs' triangular factors, the decimated rows in a temporary file (for the covariance, which needs the
+residuals in order), and some blocks in full, for a page to draw. The sum is taken block by block in order, so one thread, many,
+or a cluster give the same bits.
 """
 
 from __future__ import annotations
@@ -53,14 +53,14 @@ SIZE = 2**22
 """Numbers in a block's columns."""
 
 MIN_BLOCK_ROWS = 256
-"""Decimated rows that a block has at least, so that it is not mostly neighbourhood."""
+"""Least number of decimated rows of a block, so that it does not consist mostly of extra samples."""
 
 OVERLAP_FILTER_MEMORIES = 8
 """Filter memories (to 1 % of a transient) read beyond a block: 1e-16 of a cut end is left."""
 
 
 class Block(NamedTuple):
-    """Which part of which stretch: decimated samples `start` to `stop - 1`, and the section they count for."""
+    """A part of a stretch: decimated samples `start` to `stop - 1`, and the section they count for."""
 
     stretch: int
     start: int
@@ -72,10 +72,10 @@ class BlockRows(NamedTuple):
     """A block's rows and their totals.
 
     Attributes:
-        rows: What the covariance needs.
+        rows: Rows for the covariance.
         used: Totals of the rows a fit may use.
         whole: Totals of all rows.
-        run: Everything, where it was asked for.
+        run: The block in full, if requested.
     """
 
     rows: RegressionRows
@@ -86,16 +86,16 @@ class BlockRows(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class BlockWork:
-    """What all blocks share; it travels to other processes.
+    """Data that all blocks share; it is sent to other processes.
 
     Attributes:
-        model: Gives the columns.
-        at: Gives the signals that follow from values.
-        stretches: What is cut.
+        model: Model that gives the columns.
+        at: Model that gives the signals that follow from values.
+        stretches: Stretches that are cut into blocks.
         numbers: The number of the recording that each stretch is from.
         preparation: Filters and masks.
         scale: Factor of each output.
-        shown: Blocks of which everything is wanted.
+        shown: Blocks that are kept in full.
     """
 
     model: Model
@@ -112,7 +112,7 @@ class BlockWork:
         return list_channels(self.model, self.preparation.exclude)
 
     def compute(self, block: Block, log: Log | None = None) -> BlockRows:
-        """Return a block's rows; `log` is what `read` gives, where somebody else has read it."""
+        """Return a block's rows; `log` is the result of `read`, if it was read elsewhere."""
         stretch, preparation = self.stretches[block.stretch], self.preparation
         factor = preparation.factor(stretch.rate_hz)
         log = self.read(block) if log is None else log
@@ -152,12 +152,12 @@ def split_blocks(
     """Cut a stretch into blocks.
 
     Args:
-        stretch: What is cut.
+        stretch: The stretch that is cut.
         number: Its number.
         preparation: Filters and masks.
         width: Numbers of one sample's columns.
-        share: Share of its samples that make section 0; the rest is section 2, but for a gap, section 1, as wide as the filters'
-            memory.
+        share: Share of its samples that make section 0; the rest is section 2, except for a gap, section 1, as wide as the
+            filters' memory.
     """
     factor = preparation.factor(stretch.rate_hz)
     n = -(-stretch.n_samples // factor)
@@ -179,7 +179,7 @@ def list_channels(model: Model, exclude: Sequence[str]) -> tuple[str, ...]:
 
 
 def refuse_memory(model: Model) -> None:
-    """Refuse effects whose force depends on what happened longer ago than any filter remembers."""
+    """Refuse effects whose force depends on a longer past than the memory of any filter."""
     for effect in model.effects:
         if isinstance(effect, Bristle | WindingHeat) or {"reversal", "temperature"} & set(effect.needs):
             raise InputError(
@@ -190,20 +190,20 @@ def refuse_memory(model: Model) -> None:
 
 
 SURVEYED = 2**20
-"""Samples from which filters and masks are chosen; of a longer recording, windows spread over it."""
+"""Number of samples for the choice of filters and masks; for a longer recording, in windows spread over it."""
 
 SHOWN = 12
 """Blocks of all recordings together that are kept for a page to draw."""
 
 _TIDIED = 16
-"""Blocks after which freed memory is handed back."""
+"""Number of blocks after which freed memory is returned."""
 
 Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class BlockExecutor:
-    """Who computes blocks: threads of this process, or a Dask cluster.
+    """Executor of blocks: threads of this process, or a Dask cluster.
 
     Attributes:
         jobs: Threads, or processes of an embedded cluster.
@@ -222,7 +222,7 @@ class BlockExecutor:
                 yield from self._there(work, blocks)
 
     def _here(self, work: BlockWork, blocks: Sequence[Block]) -> Iterator[BlockRows]:
-        own = threading.local()  # a mechanism remembers its last closure, so each thread has one
+        own = threading.local()  # a mechanism caches its last closure, so each thread has one
 
         def compute(block: Block, log: Log) -> BlockRows:
             if not hasattr(own, "work"):
@@ -238,14 +238,14 @@ class BlockExecutor:
         address = None if self.cluster == "local" else self.cluster
 
         def prepare(client: Any) -> Callable[[Block], Any]:
-            shared = client.submit(_given, work, pure=False)  # made again where the worker that holds it dies
+            shared = client.submit(_given, work, pure=False)  # computed again if the worker that holds it dies
             return lambda block: client.submit(_compute, shared, block, pure=False)
 
         yield from run_on_workers(prepare, blocks, cluster=address, jobs=self.jobs, ahead=3)
 
 
 class StreamedRegressions(NamedTuple):
-    """The regressions of all data, of the first part, and of the last (the parts without rows), and what gave no rows."""
+    """Regressions of all data, of the first and the last part (these without rows), and warnings on pieces without rows."""
 
     whole: Regression
     first: Regression
@@ -270,15 +270,15 @@ def build_stream_regression(
 
     Args:
         model: Gives the columns.
-        recordings: Recordings on disk, or logs beside them; never joined across their ends.
+        recordings: Recordings on disk and logs in memory; never joined across their ends.
         preparation: Filters and masks; by default chosen from samples all over the recordings.
         exclude: Columns whose nonzero samples are left out.
         at: The model at the values from which signals are computed.
         campaigns: Names of recordings that are numbered before these.
         factors: Factor of an output's measurements, by name.
         share: Share of each stretch that makes the first part.
-        engine: Who computes.
-        progress: Told how far it is.
+        engine: Executor that computes the blocks.
+        progress: Callback that receives the progress.
     """
     refuse_memory(model)
     refuse_missing(model, [log for log in recordings if isinstance(log, Recording)], exclude)
@@ -335,10 +335,10 @@ def _summed(
 
 
 def give_back() -> None:
-    """Hand freed memory back to the system, where the C library knows how (glibc's `malloc_trim`).
+    """Return freed memory to the system, if the C library supports it (glibc's `malloc_trim`).
 
-    It is kept for the next request otherwise. Where blocks of many sizes come and go on several threads, it is kept in ever more
-    pieces that fit nothing: 12 bytes a sample, 1.9 GiB at 10^8 samples.
+    Otherwise it is kept for the next request. With blocks of many sizes on several threads it fragments into pieces that fit no
+    request: 12 bytes a sample, 1.9 GiB at 10^8 samples.
     """
     try:
         ctypes.CDLL(None).malloc_trim(0)
@@ -372,7 +372,7 @@ def split_recording_evenly(recording: Recording) -> list[EvenSegment]:
 
 
 def copy_with_own_mechanisms(work: BlockWork) -> BlockWork:
-    """Return the same work with mechanisms of its own."""
+    """Return the same work with its own mechanisms."""
     model = replace(work.model)
     return replace(work, model=model, at=model if work.at is work.model else replace(work.at))
 

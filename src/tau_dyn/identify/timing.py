@@ -1,18 +1,18 @@
-"""Is the force as old as the motion: late, early, or low-passed by its drive? And what a part of a sample does to the intervals.
+"""Time of the force relative to the motion: late, early, or low-passed by its drive; its uncertainty widens the intervals.
 
 A force that is logged late by `d` is `tau(t - d)`, to first order `tau - d * dtau/dt`; a drive that filters it gives `tau / (1
-+ T s)`. Both are told from wrong parameters by the jerk: no body and no friction makes a force of the rate of the whole force.
++ T s)`. The jerk separates both from wrong parameters: no body and no friction makes a force like the rate of the whole force.
 
 **Before the fit** (`check_timing`), on an excerpt: the columns of a linear model with all parameters free (no prior: wrong
 masses must not look like a delay) are joined by `-d(model force)/dt` of each joint, and by Gauss-Newton the delays of all
 joints are found with the parameters. Standard errors are robust to residuals that are correlated in time (cluster-robust,
-Liang & Zeger 1986, blocks of a second). A delay is said where it exceeds one sample and 8 standard errors, and either all
-joints agree on it or it removes two fifths of the joint's residual power: friction that follows the load, or a drive that
-yields, also leave a trace of jerk, in single joints.
+Liang & Zeger 1986, blocks of a second). A delay is reported if it exceeds one sample and 8 standard errors, and either all
+joints agree on it or it removes two fifths of the joint's residual power: load-dependent friction or an elastic drive also
+leave a trace of jerk, in single joints.
 
-**After the fit** (`estimate_offset`): a force that is held over a sample and logged at the start of its hold stands half a
+**After the fit** (`estimate_offset`): a force that is held over a sample and logged at the start of its hold is half a
 sample before its effect. The offset is one more column of the regression, `-dF/dt` of the predicted force `F`, with the prior
-that nothing is later than about a sample. Where the data show an offset, the forces are read that much later (linearisation of
+that forces are at most about a sample late. If the data show an offset, the forces are read that much later (linearisation of
 the time delay, Ljung 1999, 14.4); its standard error widens every interval.
 """
 
@@ -43,43 +43,43 @@ MIN_DELAY_SAMPLES = 0.7
 """Smaller delays are the hold of a sampled force, half a sample [samples]."""
 
 MAX_DELAY_S = 0.1
-"""Longer delays are not looked for: a motion turns round in the meantime."""
+"""Longer delays are not searched [s]: a motion reverses in the meantime."""
 
 MIN_POWER_REMOVED = 0.4
-"""Share of a joint's residual power that its own delay removes before it is believed on its own."""
+"""Share of a joint's residual power that its delay must remove to be reported for this joint alone."""
 
 MIN_POWER_REMOVED_TOGETHER = 0.2
-"""The same, on average, where all joints agree on one delay."""
+"""The same, on average, if all joints agree on one delay."""
 
 AGREEMENT = 0.3
-"""Joints agree on a delay that lies within this share of their mean, or within three standard errors."""
+"""Joints agree on a delay if theirs are within this share of the mean, or within three standard errors."""
 
 BLOCK_S = 1.0
-"""Length of the blocks within which residuals may be correlated [s]: longer than friction and cables remember."""
+"""Length of the blocks within which residuals may be correlated [s]: longer than the memory of friction and cables."""
 
 ITERATIONS = 6
 """Gauss-Newton converges in four steps for delays below a quarter of the motion's shortest period."""
 
 LAG_GAIN_NATS = 5.0
-"""Log-likelihood gain from which a lag and a delay are told apart."""
+"""Log-likelihood gain [nats] from which a lag and a delay are distinguished."""
 
 
 PRIOR_SAMPLES = 0.5
-"""Standard deviation of the offset before the data, in samples: half a sample is what a hold makes of it."""
+"""Standard deviation of the offset before the data, in samples: half a sample is the effect of a hold."""
 MAX_OFFSET_SAMPLES = 1.5
-"""Largest offset that is corrected; more is no matter of a hold, and is warned of (`force_late`)."""
+"""Largest offset that is corrected; a hold does not explain more, which gives a warning (`force_late`)."""
 MIN_OFFSET_Z = 4.0
 """Standard errors from which an offset is corrected: one log in 15,000 by chance."""
 MIN_OFFSET_SAMPLES = 0.02
-"""Smallest offset that is corrected; less changes nothing that anybody reads."""
+"""Smallest offset [samples] that is corrected; less changes no reported digit."""
 _NAME = "drive.delay"
 
 
 class ForceDelay(NamedTuple):
-    """How late forces are.
+    """Delays of the forces.
 
     Attributes:
-        delay_s: Of each joint (na,) [s].
+        delay_s: Delay of each joint's force (na,) [s].
         stderr_s: Standard errors (na,) [s].
         removed: Share of each joint's residual power that its delay removes (na,).
         residual: Weighted residual power with the delays (na,).
@@ -94,7 +94,7 @@ class ForceDelay(NamedTuple):
 
 
 def check_timing(robot: Robot, excerpt: Excerpt, name: str) -> list[CodedWarning]:
-    """Return `force_late` or `force_lowpassed` of a log, with the evidence and the mend.
+    """Return the warning `force_late` or `force_lowpassed` of a log, with evidence and remedy.
 
     Args:
         robot: The robot file; only its geometry counts.
@@ -112,7 +112,7 @@ def check_timing(robot: Robot, excerpt: Excerpt, name: str) -> list[CodedWarning
 
 
 def _gain_of_lag(fitter: _Fitter, found: ForceDelay, late: np.ndarray) -> float:
-    """Return by how many nats a first-order lag explains the joints that are late better than a delay does."""
+    """Return the log-likelihood gain [nats] of a first-order lag over a delay for the joints that are late."""
     late = late & (found.delay_s > 0)
     if not late.any():
         return -np.inf
@@ -122,7 +122,7 @@ def _gain_of_lag(fitter: _Fitter, found: ForceDelay, late: np.ndarray) -> float:
 
 
 def _believed(found: ForceDelay, dt: float) -> np.ndarray:
-    """Return which joints' delays are said (na,)."""
+    """Return the joints whose delays are significant (na,)."""
     z = np.abs(found.delay_s) / found.stderr_s
     large = np.abs(found.delay_s) > MIN_DELAY_SAMPLES * dt
     alone = found.judged & large & (z > MIN_DELAY_Z) & (found.removed > MIN_POWER_REMOVED)
@@ -150,7 +150,7 @@ class _Fitter:
 
     @classmethod
     def of(cls, robot: Robot, excerpt: Excerpt) -> _Fitter | None:
-        """Return the fitter; None where the robot cannot move as logged, or nothing is left."""
+        """Return the fitter; None if the robot cannot move as logged, or no sample is left."""
         q, v, a = excerpt.q, excerpt.v, excerpt.a
         try:
             rigid = build_mechanism(robot).regressor(q, v, a)
@@ -246,7 +246,7 @@ class _Fitter:
         np.add.at(scores, block, D * r[:, None])
         inverse = np.linalg.pinv(gram)
         variance = np.diag(inverse @ (scores.T @ scores) @ inverse)
-        return np.sqrt(np.maximum(0.0, np.maximum(variance, np.diag(inverse))))  # zero: a joint that tells nothing
+        return np.sqrt(np.maximum(0.0, np.maximum(variance, np.diag(inverse))))  # zero for a joint without information
 
 
 def _passed(
@@ -254,7 +254,7 @@ def _passed(
 ) -> np.ndarray:
     """Return signals (n, p) through a frequency response of w (k, 1) [rad/s] that moves a straight line `lead_s` forward.
 
-    The signals less a line from end to end are continued oddly, so that nothing jumps at their ends.
+    The signals minus a line from end to end are continued as odd functions, so that they do not jump at their ends.
     """
     n = len(x)
     rise = x[-1:] - x[:1]
@@ -266,7 +266,7 @@ def _passed(
 
 
 def _say(robot: Robot, name: str, found: ForceDelay, late: np.ndarray, gain: float, dt: float) -> CodedWarning:
-    """Return the warning of a delay or a lag: of all joints the mean, else the largest."""
+    """Return the warning of a delay or a lag: the mean if all joints are late, else the largest."""
     chosen: Sequence[int] = np.flatnonzero(late).tolist()
     weight = found.stderr_s[late] ** -2.0
     mean = float(weight @ found.delay_s[late] / weight.sum())
@@ -294,10 +294,10 @@ def _say(robot: Robot, name: str, found: ForceDelay, late: np.ndarray, gain: flo
 
 @dataclass(frozen=True)
 class ForceOffset:
-    """How late forces were logged.
+    """Delay of the logged forces.
 
     Attributes:
-        seconds: The offset; positive where forces were logged late [s].
+        seconds: The offset [s]; positive if forces were logged late.
         stderr: Its standard error [s].
         period_s: Time between samples of the logs [s].
         corrected: Whether forces were read at the shifted times.
@@ -328,7 +328,10 @@ class ForceOffset:
 
 
 def build_offset_columns(model: Model, pieces: Sequence[Log], regression: Regression) -> list[np.ndarray] | None:
-    """Return the force per second of offset (n, na) of each run, filtered and masked as the regression; None where it has none.
+    """Return the force per second of offset (n, na) of each run, filtered and masked as the regression, or None.
+
+    The result is None if the columns cannot be computed: an effect needs measured signals, the base floats, or the pieces do not
+    match the runs.
 
     Args:
         model: The fitted model.
@@ -345,7 +348,7 @@ def build_offset_columns(model: Model, pieces: Sequence[Log], regression: Regres
         try:
             made = prepare_segment(model, piece, regression.preparation, needs=("force",))
         except InputError:
-            return None  # an effect feels more than the piece alone says
+            return None  # an effect needs more than the piece alone contains
         column = made.columns(effect.columns(made.motion))[:, :, 0]
         if column.shape != run.y.shape:
             return None
@@ -356,13 +359,13 @@ def build_offset_columns(model: Model, pieces: Sequence[Log], regression: Regres
 def estimate_offset(
     regression: Regression, columns: Sequence[np.ndarray], period_s: float, physics: PhysicalConstraints | None
 ) -> ForceOffset:
-    """Return the offset, estimated beside all free parameters by weighted least squares.
+    """Return the offset, estimated together with all free parameters by weighted least squares.
 
     Args:
         regression: The regression.
-        columns: What `build_offset_columns` returned.
+        columns: Result of `build_offset_columns`.
         period_s: Time between samples of the logs [s].
-        physics: What makes the parameters physical.
+        physics: Physical constraints of the parameters; None for bounds alone.
     """
     more = Parameter(_NAME, 0.0, "s", prior_stderr=PRIOR_SAMPLES * period_s, origin="timing")
     runs = tuple(
@@ -379,9 +382,9 @@ def estimate_offset(
 
 
 def widen_by_offset(estimate: Estimate, columns: Sequence[np.ndarray], offset: ForceOffset) -> Estimate:
-    """Return the estimate with intervals that hold for any offset within its standard error.
+    """Return the estimate with standard errors that include the offset's.
 
-    The base parameters move by a refit of `-dF/dt` a second of offset.
+    The change of the base parameters per second of offset is a fit of `-dF/dt`.
     """
     base, slope = estimate.base, estimate.refit(columns)
     more = np.outer(slope, slope) * offset.stderr**2

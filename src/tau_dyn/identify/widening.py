@@ -1,8 +1,9 @@
-r"""How far the errors of an estimate reach: their covariance, and by how much what the model misses widens it.
+r"""Covariance of an estimate, and the factors by which model errors widen it.
 
-Where the scatter of 2 s blocks says more than autoregressive noise, its directions count, shrunk towards their mean as far as so
-few blocks demand (oracle approximating shrinkage). Logs that scatter beyond that (Birge), physics that moves the estimate, and a
-robot file that the logs contradict each give a factor on variances. Reference: Birge 1932; Chen, Wiesel, Eldar & Hero 2010.
+In directions in which 2 s blocks scatter more than autoregressive noise, their covariance is used, shrunk towards its mean as so
+few blocks require (oracle approximating shrinkage). Logs that scatter beyond that (Birge), physical constraints that move the
+estimate, and a robot file that the logs contradict each give a factor on variances. Reference: Birge 1932; Chen, Wiesel, Eldar
+& Hero 2010.
 """
 
 from __future__ import annotations
@@ -17,18 +18,18 @@ from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import BodyPrior
 
-_SIGNIFICANCE_LEVEL = 0.01  # at which physics or another log is said to contradict the errors
+_SIGNIFICANCE_LEVEL = 0.01  # at which physics or another log contradicts the errors
 _ACTIVE = 1e-6  # of a pseudo-inertia's trace: an eigenvalue below it is held by physics
 
 
 @dataclass(frozen=True)
 class Widening:
-    """Factors on variances for what the model leaves unexplained; 1 where nothing is.
+    """Factors on variances for model errors; 1 without any.
 
     Attributes:
-        logs: Scatter of whole logs' scores over what the errors predict, of three logs or more.
-        physics: Squared distance of the plain estimate from the consistent set over its expectation, where it is significant.
-        prior: Of the robot file's values, until they agree with the logs.
+        logs: Scatter of whole logs' scores divided by its prediction from the errors; needs three logs or more.
+        physics: Squared distance of the plain estimate from the consistent set over its expectation, if it is significant.
+        prior: Factor on the variances of the robot file's values at which they agree with the logs.
     """
 
     logs: float = 1.0
@@ -46,10 +47,10 @@ class Widening:
 
 
 def compute_data_covariance(estimate: Estimate) -> np.ndarray:
-    """Return one covariance (r, r) of the base parameters: autoregressive, enlarged where blocks of 2 s scatter more.
+    """Return one covariance (r, r) of the base parameters: autoregressive, enlarged in directions of larger block scatter.
 
-    In coordinates in which the first is the identity, the second has the eigenvalues of a Wishart matrix of few blocks; shrunk
-    towards their mean they are what so few blocks can tell, and where they exceed one they count.
+    In coordinates in which the autoregressive covariance is the identity, that of the 2 s blocks has the eigenvalues of a Wishart
+    matrix of few blocks. They are shrunk towards their mean, and those above one are used.
     """
     scale = np.sqrt(np.diag(estimate.cov))
     L = linalg.cholesky(_regular(estimate.cov / np.outer(scale, scale)), lower=True) * scale[:, None]
@@ -77,7 +78,7 @@ def _shrink(S: np.ndarray, n: int) -> np.ndarray:
 
 
 def _count_blocks(estimate: Estimate) -> int:
-    """Return how many blocks of 2 s the scatter is of."""
+    """Return the number of 2 s blocks in the scatter."""
     count = 0
     for run in estimate.regression.rows():
         start, seen = None, set()
@@ -89,7 +90,7 @@ def _count_blocks(estimate: Estimate) -> int:
 
 
 def measure_logs(estimate: Estimate, C: np.ndarray) -> float:
-    """Return the scatter of logs' scores over what the errors predict (Birge); 1 of fewer than three logs, or of less scatter."""
+    """Return the scatter of logs' scores over its prediction (Birge ratio); 1 for fewer than three logs or less scatter."""
     regression, base = estimate.regression, estimate.base
     names = [run.name for run in regression.runs]
     if estimate.estimator != "wls" or regression.everything is not None or len(set(names)) < 3:
@@ -120,7 +121,7 @@ def _unconstrained(estimate: Estimate) -> np.ndarray:
 
 
 def measure_physics(estimate: Estimate, C: np.ndarray, bodies: list[InertialBody]) -> float:
-    """Return by how much physics moves the estimate: chi-square over its expectation, where that is significant; else 1."""
+    """Return the effect of physics on the estimate: chi-square over its expectation, if it is significant; else 1."""
     moved = estimate.beta - estimate.beta_plain
     active = sum(p.free and p.at_bound for p in estimate.parameters)
     active += sum(estimate.parameters.is_at_bound(pair[0]) for pair in estimate.parameters.friction_sums)
@@ -134,9 +135,9 @@ def measure_physics(estimate: Estimate, C: np.ndarray, bodies: list[InertialBody
 
 
 def list_prior_stderr(model: Model, estimate: Estimate, nominal: Parameters) -> np.ndarray:
-    """Return each free column's standard error in the robot file (q,), inf where the file tells nothing.
+    """Return each free column's standard error in the robot file (q,), inf for columns without a prior.
 
-    What was measured beforehand is in the data already and has none here either.
+    Parameters that were measured beforehand are in the data already and have inf here, too.
     """
     told = BodyPrior.of(model.robot).rough
     known = [nominal[n].prior_stderr is None and told.get(n, 0.0) > 0 for n in estimate.base.names]
@@ -144,7 +145,7 @@ def list_prior_stderr(model: Model, estimate: Estimate, nominal: Parameters) -> 
 
 
 def combine_free(estimate: Estimate) -> np.ndarray:
-    """Return how base parameters follow the free columns (r, q)."""
+    """Return the map from free columns to base parameters (r, q)."""
     base = estimate.base
     B = np.zeros((base.rank, len(base.names)))
     B[range(base.rank), base.kept] = 1.0
@@ -153,7 +154,7 @@ def combine_free(estimate: Estimate) -> np.ndarray:
 
 
 def measure_prior(estimate: Estimate, C: np.ndarray, nominal: Parameters, sizes: np.ndarray) -> float:
-    """Return the factor on the file's variances at which its values agree with the logs; 1 where they do."""
+    """Return the factor on the file's variances at which its values agree with the logs; 1 if they agree."""
     B, told = combine_free(estimate), np.isfinite(sizes)
     root = linalg.cholesky(C, lower=True)
     A = linalg.solve_triangular(root, B, lower=True)

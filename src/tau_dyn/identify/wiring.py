@@ -1,10 +1,10 @@
-"""Do the columns of a log belong to this robot file: signs, joints, scales, clock, gravity, and forces that lack a part?
+"""Test whether a log's columns match the robot file: signs, joints, scales, clock, gravity, forces that lack a part.
 
 The log as read is compared with the readings of `wiring_alternatives.py`. `reading_fit.py` computes the log marginal likelihood
 of each, and `evidence/readings.py` decides whether one is named. Scales are numbers: the search starts at a grid, and a bounded
 search over the logarithm finds the maximum, with a standard error from the curvature. After the last fault the whole map is
-tried: the search runs again on the log as read, and only a log without a further fault, in which the joints concerned are
-predicted well, gives the advice of a column map. It has one line a column.
+tried: the search runs again on the log as read, and a column map is advised only if there is no further fault and the
+joints concerned are predicted well. The map has one line for each column.
 """
 
 from __future__ import annotations
@@ -47,16 +47,16 @@ from tau_dyn.message_codes import CodedWarning
 from tau_dyn.robot import Robot
 
 FINE_MODEL_ERROR = 0.005
-"""Least residual of a joint where a reading leaves next to nothing of any, as only simulated and very good robots do."""
+"""Least residual of a joint, as a share of its force, if all joints fit almost exactly (only simulated and very good robots)."""
 
 MIN_GRAVITY_SHARE = 0.1
 """Part of gravity in a joint's force, from which its absence shows: twice the least model error."""
 
 MAX_FAULTS = 4
-"""So many faults are looked for one after another."""
+"""Largest number of faults that are searched, one after another."""
 
 N_FINALISTS = 8
-"""So many of the best readings are fitted to all samples."""
+"""Number of the best readings that are fitted to all samples."""
 
 REACH = np.log(2.5)
 """Half width of the search for a number, about its start (logarithm): the grid's largest gap is a factor of five."""
@@ -77,7 +77,7 @@ MIN_NUMBER_STEP = 1e-4
 """Smallest step (logarithm): no unit or ratio needs more digits."""
 
 LEFT_STEP = 0.1
-"""Step of the share of gravity that is left: what the bodies' prior does not determine better."""
+"""Step of the share of gravity that is left: the bodies' prior determines it no better."""
 
 MIN_CURVATURE = 0.01
 """Least curvature of the log posterior: a standard error of a factor of e^10."""
@@ -114,7 +114,7 @@ class Fault:
 
     Attributes:
         reading: The reading.
-        before: The fit without it; None where the robot cannot reach the positions as logged.
+        before: The fit without it; None if the robot cannot reach the positions as logged.
         after: The fit with it.
         is_alias: Whether the log cannot distinguish it from the fault named before.
     """
@@ -134,13 +134,13 @@ class Mend(NamedTuple):
 
 
 def check_wiring(robot: Robot, excerpt: Excerpt, name: str, records: Records | None = None) -> list[CodedWarning]:
-    """Return what of a log is wired otherwise than the robot file says, each with evidence, and the map that mends all.
+    """Return the wiring faults of a log against the robot file, each with evidence, and the column map that mends all.
 
     Args:
         robot: The robot file.
         excerpt: Its log.
         name: The log's name, for the sentences.
-        records: What the whole log itself says; by default that of the excerpt.
+        records: Properties of the whole log; by default those of the excerpt.
     """
     records = Records.of(robot, excerpt) if records is None else records
     model = LogModel.of(robot, excerpt, records.mean_force)
@@ -159,7 +159,7 @@ class Search:
     records: Records
 
     def find_faults(self, start: Rewiring | None = None) -> list[Fault]:
-        """Return the faults that one after another gain most, and those that cannot be told from them."""
+        """Return the faults found by forward selection of the largest gain, and those indistinguishable from them."""
         current = Rewiring.none(self.model.robot.na) if start is None else start
         fit = self.model.fit(current)
         search = self
@@ -176,7 +176,7 @@ class Search:
         return [fault for fault in search_readings(None, grow, MAX_FAULTS) if fault]
 
     def find_best(self, current: Rewiring, fit: ReadingFit | None) -> list[Fault]:
-        """Return the reading that gains most, and those that cannot be told from it and have another code."""
+        """Return the reading of the largest gain, and those of another code that cannot be distinguished from it."""
         quick = self.model.thinned()
         design, plain = quick.design(current), quick.fit(current)
         tried = []
@@ -225,7 +225,7 @@ class Search:
         return Mend(final, errors, objection)
 
     def _judge(self, current: Rewiring, fit: ReadingFit | None, reading: Rewiring) -> Fault | None:
-        """Return the fault that a reading shows, or None where it is not accepted."""
+        """Return the fault of a reading, or None if it is not accepted."""
         if reading.code == "scale_wrong":
             bare = self.model.thinned().bare(self.model.test)
             reading = refine_numbers(bare, reading, reading.numbers[len(current.numbers) :] or reading.numbers)
@@ -291,7 +291,7 @@ class Search:
         )
 
     def _most_to_gain(self, fit: ReadingFit) -> float:
-        """Return what a perfect reading would gain [nats]."""
+        """Return the gain of a perfect reading [nats]."""
         floor = self.model.test.floor
         return float(self.model.counts @ np.log(np.maximum(fit.power, floor) / floor) / 2 + fit.prior)
 
@@ -407,7 +407,7 @@ def refine_numbers(model: LogModel, reading: Rewiring, numbers: tuple[Number, ..
 
 
 def separate_numbers(model: LogModel, reading: Rewiring) -> Rewiring:
-    """Return the reading with one number a column, at the maximum: torque constants and units belong to single drives."""
+    """Return the reading with one number for each column, at the maximum: torque constants and units belong to single drives."""
     numbers = tuple(
         dict.fromkeys(
             (signal, (j,)) if joints else (signal, joints) for signal, joints in reading.numbers for j in joints or (0,)
@@ -489,7 +489,7 @@ def round_to_units(reading: Rewiring, errors: dict[Number, float]) -> Rewiring:
 
 
 def _describe(robot: Robot, name: str, faults: list[Fault], mend: Mend) -> list[CodedWarning]:
-    """Return a warning a fault, with its evidence; the last carries the column map of all, or the reason why there is none."""
+    """Return one warning for each fault, with its evidence; the last adds the column map, or why no map is advised."""
     sentences = [_describe_fault(robot, name, fault, mend) for fault in faults]
     lines = list_map_lines(robot, mend.reading)
     if lines and not mend.objection:
@@ -513,7 +513,7 @@ def _describe_fault(robot: Robot, name: str, fault: Fault, mend: Mend) -> str:
 
 
 def _format_numbers(robot: Robot, numbers: list[Number], mend: Mend) -> str:
-    """Return the estimates with their standard errors, by joint where there are several."""
+    """Return the estimates with their standard errors, by joint if there are several."""
     texts = []
     for number in numbers:
         value, error = mend.reading.get(number), mend.errors.get(number, 0.0)

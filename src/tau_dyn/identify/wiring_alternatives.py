@@ -1,8 +1,8 @@
-"""The readings of a log: the ways in which its columns may differ from what the robot file says.
+"""Readings of a log: the ways in which its columns may deviate from the conventions of the robot file.
 
-Signs, exchanged joints, scales and clocks of the columns, the direction of gravity, and forces that lack a part which a
-controller or a filter subtracted: one thing at a time. Scales are starting values of a number that is estimated. A reading also
-gives the lines of the column map that mends the log, one a column.
+A reading changes one property at a time: signs, exchanged joints, scales and clocks of the columns, the direction of gravity, or
+forces without a part that a controller or a filter subtracted. Scales are starting values of a number that is estimated. A
+reading also gives the lines of the column map that mends the log, one for each column.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ SCALES = (1e-3, 1e-2, np.pi / 180, 0.1, 0.2, 0.5, 2.0, 5.0, 10.0, 180 / np.pi, 1
 """Scales of a column at which the search for its number starts: gear ratios, percent, degrees, mm, torque constants."""
 
 MAX_PLAUSIBLE_SCALE = 3.0
-"""Positions within the joint's limits are not taken for larger units than by this factor."""
+"""Largest factor by which positions within the joint's limits may be in larger units."""
 
 CLOCKS = (1e-3, 0.1, 0.5, 2.0, 10.0, 1e3)
-"""Factors of a clock at which the search starts: another unit, or another rate than the logger believes."""
+"""Factors of a clock at which the search starts: another unit, or another rate than the logger assumes."""
 
 UNITS = {"q": (180 / np.pi, 1000.0, 100.0), "tau": (1000.0,), "t": (1e3, 1e6, 1e9)}
 """Conversions of units: degrees, mm and mrad, cm; mN m; ms, us, ns. Their inverses count as well."""
@@ -60,12 +60,12 @@ class Rewiring:
         tau_from: The same for forces.
         q_scale: Factor of the position columns against the truth (na,).
         tau_scale: Factor of the force columns against the truth (na,).
-        gravity: Direction of gravity in the robot's base (3,); empty for the file's.
+        gravity: Direction of gravity in the robot's base (3,); empty for the robot file's direction.
         t_scale: Factor of the clock against the truth.
-        lacks: What each force lacks (na,): `gravity`, `model` or `mean`, with `file_` where the file's bodies were subtracted.
+        lacks: The part that each force lacks (na,): `gravity`, `model` or `mean`; `file_` if the file's bodies were subtracted.
         numbers: Factors that are estimated.
         joints: Indices of the joints concerned.
-        words: What is wrong; `{number}` is where the estimate goes.
+        words: Description of the fault; `{number}` is replaced by the estimate.
     """
 
     code: str
@@ -82,7 +82,7 @@ class Rewiring:
 
     @classmethod
     def none(cls, na: int) -> Rewiring:
-        """Return the reading as the log says."""
+        """Return the reading without any change of the log."""
         return cls("", tuple(range(na)), tuple(range(na)), (1.0,) * na, (1.0,) * na)
 
     def moves_as(self, other: Rewiring) -> bool:
@@ -107,7 +107,7 @@ class Rewiring:
 
 
 def list_alternatives(robot: Robot, now: Rewiring, q: np.ndarray) -> Iterator[Rewiring]:
-    """Yield the readings of other columns that differ from one in a single thing; `q` are the logged positions (n, na)."""
+    """Yield the readings that differ from one in a single property of the columns; `q` are the logged positions (n, na)."""
     yield from _sign_changes(robot, now)
     yield from _exchanges(robot, now)
     yield from _scale_changes(robot, now, q)
@@ -125,9 +125,9 @@ def list_lacking(robot: Robot, now: Rewiring, weighs: np.ndarray, is_centred: np
 
     Args:
         robot: The robot.
-        now: The reading that they change.
+        now: The current reading.
         weighs: Whether gravity is a considerable part of each joint's force in the robot file (na,).
-        is_centred: Whether each force has no mean (na,).
+        is_centred: Whether each force has zero mean (na,).
     """
     everyone = tuple(range(robot.na))
     heavy, centred = np.flatnonzero(weighs).tolist(), np.flatnonzero(is_centred).tolist()
@@ -155,7 +155,7 @@ def _lacking(robot: Robot, now: Rewiring, kind: str, group: Sequence[int]) -> Re
 
 
 def move_to_motor_side(robot: Robot, now: Rewiring, ratios: Sequence[tuple[int, float]], with_force: bool) -> Rewiring:
-    """Return the reading with positions, and forces if so said, of some joints at the motor's side of their gears."""
+    """Return the reading with positions, and forces if `with_force`, of some joints at the motor's side of their gears."""
     for j, ratio in ratios:
         now = _with_number(now, ("gear" if with_force else "q", (j,)), ratio)
     joints = tuple(j for j, _ in ratios)
@@ -169,7 +169,7 @@ def move_to_motor_side(robot: Robot, now: Rewiring, ratios: Sequence[tuple[int, 
 
 
 def list_map_lines(robot: Robot, reading: Rewiring) -> list[str]:
-    """Return the lines of the column map that mends a log: one a column that changes."""
+    """Return the lines of the column map that mends a log: one for each column that changes."""
     lines = []
     for signal, source, scale in (("q", reading.q_from, reading.q_scale), ("tau", reading.tau_from, reading.tau_scale)):
         for j, joint in enumerate(robot.actuated):

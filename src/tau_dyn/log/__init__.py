@@ -1,4 +1,4 @@
-"""Recordings: files and column maps in, `Log` out; an even clock, filters, and a judgement of what was recorded."""
+"""Recordings: files and column maps in, `Log` out; an even clock, filters, and checks of the recorded data."""
 
 from lazy_loader import attach_stub
 

@@ -1,12 +1,12 @@
-"""Is a log fit for use? Its clock, its channels, its motion and its units, judged before anything is estimated.
+"""Check whether a log is fit for use: its clock, channels, motion and units are judged before any estimation.
 
-`check_log` judges clock and units here and asks `signal_checks.py`, `check_motion.py`, the robot if there is one, and
-`data_integrity.py` for losses on the way to the file. Wiring and the time of the forces take a model:
+`check_log` judges clock and units here and calls `signal_checks.py`, `check_motion.py`, the robot if there is one, and
+`data_integrity.py` for losses on the way to the file. Wiring and the time of the forces need a model:
 `identify/log_integrity.py`.
 
-Positions that read like millimetres or degrees are the likeliest mistake in a foreign log. A robot's joint limits tell a wrong
-unit with certainty enough for a warning; without a robot only a number that no joint reaches does. Nothing is converted here:
-the remedy is a `scale` in the column map.
+Positions in millimetres or degrees are the likeliest mistake in a foreign log. A robot's joint limits show a wrong unit with
+enough certainty for a warning; without a robot, only a number that no joint reaches does. This module converts no units: the
+remedy is a `scale` in the column map.
 """
 
 from collections.abc import Sequence
@@ -40,13 +40,13 @@ from tau_dyn.message_codes import UNCODED, CodedWarning, get_code
 from tau_dyn.results import count
 
 MAX_AXIS_LENGTH_M = 20.0
-"""No prismatic joint without limits travels further [m]."""
+"""Largest plausible position of a prismatic joint without limits [m]."""
 
 WIDEST_TURN = 16 * np.pi
-"""No revolute joint without limits turns further [rad]: eight turns."""
+"""Largest plausible position of a revolute joint without limits [rad]: eight turns."""
 
 SUSPECT = 100.0
-"""Without a robot, a position beyond this is in doubt [m or rad]."""
+"""Without a robot, positions beyond this give a warning [m or rad]."""
 
 
 class JointLimits(Protocol):
@@ -73,7 +73,7 @@ def list_unit_warnings(log: Log, robot: JointLimits | None = None) -> tuple[str,
         robot: Its robot, or None if unknown: then only positions beyond 100 are doubted.
 
     Returns:
-        Sentences, empty where all is plausible. With limits, a joint is doubted if it leaves them by more than half
+        Sentences; empty if all positions are plausible. With limits, a joint is doubted if it leaves them by more than half
         their width.
     """
     if robot is None:
@@ -92,7 +92,7 @@ def _doubt(log: Log, joint: str, kind: str, lower: float, upper: float) -> str:
     prismatic = kind == "prismatic"
     unit, foreign, scale = ("m", "mm", 1e-3) if prismatic else ("rad", "degrees", np.pi / 180)
     if not prismatic and not np.isfinite(upper - lower):
-        return ""  # a joint that turns without end may stand at any angle
+        return ""  # a joint that turns without end may be at any angle
     reach = MAX_AXIS_LENGTH_M if prismatic else WIDEST_TURN
     lower, upper = max(lower, -reach), min(upper, reach)
     margin = (upper - lower) / 2
@@ -125,13 +125,13 @@ def _extent(log: Log, joint: str) -> tuple[float, float]:
 
 
 MIN_RATE_HZ = 50.0
-"""Below this rate [Hz] accelerations of a machine can hardly be had from positions."""
+"""Below this rate [Hz], positions hardly give the accelerations of a machine."""
 
 MIN_PART_SHARE = 0.05
 """Parts between gaps count for the motion from this share of the longest part's length."""
 
 _UNITS = ((2e5, "nanoseconds", "1e-9"), (200.0, "microseconds", "1e-6"), (0.5, "milliseconds", "0.001"))
-"""Steps from which a clock reads like another unit, as machines log at 5 Hz to 2 kHz, and its scale to seconds."""
+"""Steps from which a clock is probably in another unit, as machines log at 5 Hz to 2 kHz, and its scale to seconds."""
 
 MIN_DURATION_S = 5.0
 """Shorter logs [s] rarely hold enough independent motion."""
@@ -185,7 +185,7 @@ def _evenness(log: Log, clock: Clock) -> CheckFinding:
 
 
 def _choose_used(log: Log, joints: Sequence[str]) -> Log:
-    """Return the mended log where gaps of the log are filled in it, else the log."""
+    """Return the mended log if gaps of the log are filled in it, else the log."""
     n_gaps = len(examine_clock(log).gaps)
     mended = mend_log(log, joints) if n_gaps else log
     return mended if len(examine_clock(mended).gaps) < n_gaps else log
@@ -227,7 +227,7 @@ def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
     """Judge whether a log is fit for identification.
 
     Args:
-        log: A log as read. Where it has gaps that are not filled, channels are judged on its longest part.
+        log: A log as read. If it has gaps that are not filled, channels are judged on its longest part.
         robot: The robot it belongs to, for joints and limits; None leaves those out.
 
     Returns:
@@ -271,7 +271,7 @@ def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
 
 
 def _name_column(log: Log, finding: CheckFinding) -> str:
-    """Return the column that opens a finding's sentence."""
+    """Return the column at the start of a finding's sentence."""
     return finding.sentence.removeprefix(f"{log.name}: ").split()[0]
 
 

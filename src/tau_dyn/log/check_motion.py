@@ -27,7 +27,7 @@ CUTOFF_SHARE = 0.06
 """Low-pass for judging a motion, as a share of the sampling rate: 60 Hz at 1 kHz."""
 
 _CROSSED = 0.1
-"""Share of a joint's distance from its own reference that tells it follows another one's."""
+"""Velocity error against another joint's reference, over that against its own, below which a joint follows the other one."""
 
 MIN_REVERSALS = 4
 """Fewer changes of direction hardly separate friction from inertia."""
@@ -47,7 +47,7 @@ def compute_velocities(log: Log, signal: str, joint: str) -> NDArray[np.float64]
 
 
 def find_moving_samples(log: Log, joint: str) -> NDArray[np.bool_]:
-    """Return the samples (N,) in which a joint moves, by its reference where there is one, else by its position."""
+    """Return the samples (N,) in which a joint moves, by its reference if there is one, else by its position."""
     signal = "q_ref" if log.has("q_ref", [joint]) else "q"
     v = compute_velocities(log, signal, joint)
     return np.abs(v) > max(_noise_speed(log, signal, joint), 0.02 * float(np.abs(v).max()))
@@ -80,9 +80,9 @@ def check_motion(log: Log, others: Sequence[Log] = ()) -> tuple[list[CheckFindin
 
 
 def estimate_reference_lag(log: Log, joint: str) -> float:
-    """Return the time [s] by which a joint's position follows its reference; negative where it runs ahead.
+    """Return the lag [s] of a joint's position behind its reference; negative if it runs ahead.
 
-    The shift, within 0.25 s, that leaves the least squared difference between both velocities, refined by a parabola.
+    The lag minimises the squared difference between both velocities within 0.25 s, refined by a parabola.
     """
     reference, actual = (compute_velocities(log, kind, joint) for kind in ("q_ref", "q"))
     reach = min(max(int(0.25 * log.rate_hz), 2), log.n_samples // 3)
@@ -170,7 +170,7 @@ def _excitation(log: Log, joint: str, f: dict[str, Any]) -> CheckFinding:
 
 
 def _check_swapped_columns(log: Log) -> dict[str, CheckFinding]:
-    """Return a fault for each joint that moves as another one's reference says and not as its own."""
+    """Return a fault for each joint that follows another joint's reference instead of its own."""
     joints = [joint for joint in log.joints("q") if log.has("q_ref", [joint])]
     wanted = {joint: compute_velocities(log, "q_ref", joint) for joint in joints}
     found = {}

@@ -1,7 +1,7 @@
-"""The clock of a log as people write it: dates, times of day, day fractions; and signals of several clocks put on one.
+"""Clocks of a log as text: dates, times of day, day fractions; and signals of several clocks on a common one.
 
-Text clocks are read to the nanosecond and become seconds from the first sample; a time of day may cross midnight. Numbers that
-count days, as spreadsheets and MATLAB do, are recognised by their size and step. Signals of another clock (another file, or
+Text clocks are read to the nanosecond and become seconds from the first sample; a time of day may cross midnight. Numbers in
+days, as in spreadsheets and MATLAB, are recognised by their size and step. Signals of another clock (another file, or
 columns that are filled in other rows) are interpolated by `resample_to_clock`, which refuses gaps and signals that change too
 fast, onto the slowest clock of those that a fit compares: an interpolated force would repeat its noise.
 """
@@ -25,16 +25,16 @@ SECONDS_A_DAY = 86400.0
 """Length of a day [s]; leap seconds are not in the clocks of recorders."""
 
 MAX_RATE_HZ = 2e5
-"""No recorder of machines samples faster [Hz]: faster clocks count another unit."""
+"""Highest sampling rate of recorders of machines [Hz]: faster clocks count another unit."""
 
 MIN_LENGTH_S = 0.01
-"""No motion and no hammer blow is recorded for less [s]."""
+"""Shortest recording of a motion or a hammer blow [s]."""
 
 _DATE_NUMBERS = ((20_000.0, 80_000.0), (690_000.0, 800_000.0))
 """Days from 1900 (spreadsheets) and from year 0 (MATLAB) of the years 1954 to 2119 and 1889 to 2190."""
 
 MIN_OVERLAP = 0.5
-"""Share of the common clock's samples that every other one has to cover, as of topics in a bag."""
+"""Share of the common clock's samples that every other clock has to cover, as for topics in a bag."""
 
 COMPARED = ("q", "tau", "cmd")
 """Signals that a fit compares; the slowest of their clocks is the common one."""
@@ -52,7 +52,7 @@ _NS = 10**9
 
 
 class Clock(NamedTuple):
-    """Times (N,) [s] from an epoch [ns], NaN where a row has none, and a remark on how they were read."""
+    """Times (N,) [s] from an epoch [ns], NaN for a row without a time, and a remark on how they were read."""
 
     t: NDArray[np.float64]
     epoch: int = 0
@@ -60,7 +60,7 @@ class Clock(NamedTuple):
 
 
 def read_text_clock(cells: NDArray[Any]) -> Clock | None:
-    """Return the times of dates, times of day or durations; None where a filled cell is none of these.
+    """Return the times of dates, times of day or durations; None if a filled cell has another form.
 
     Args:
         cells: Text, or dates of a Parquet file (N,).
@@ -89,7 +89,7 @@ def read_text_clock(cells: NDArray[Any]) -> Clock | None:
 
 
 def _parse_text(cells: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.bool_]] | None:
-    """Return times (N,) [ns], and which cells are missing; None where a filled cell is no time."""
+    """Return times (N,) [ns], and which cells are missing; None if a filled cell is no time."""
     first = next((cell for cell in cells if not is_blank(cell)), "")
     if not re.match(_TEXT, str(first)):
         return None
@@ -117,7 +117,7 @@ def _int(values: Any) -> NDArray[np.int64]:
 
 
 def _compute_time_of_day(parts: Any) -> NDArray[np.int64] | None:
-    """Return the time of day (N,) [ns], less the zone's offset; None for hours or minutes that do not exist."""
+    """Return the time of day (N,) [ns], minus the zone's offset; None for hours or minutes that do not exist."""
     hours, minutes, seconds = (_int(parts[key]) for key in "hms")
     if not parts["s"].notna().any() and parts["f"].notna().any():  # 15:30.5 is minutes and seconds
         hours, minutes, seconds = np.zeros_like(hours), hours, minutes
@@ -132,7 +132,7 @@ def _compute_time_of_day(parts: Any) -> NDArray[np.int64] | None:
 
 
 def _compute_days(parts: Any) -> NDArray[np.int64] | None:
-    """Return days from 1970 (N,), or those of a duration; of a date with its year last, in the order in which days follow."""
+    """Return days from 1970 (N,), or those of a duration; for dates with the year last, in the order of increasing days."""
     if parts["days"].notna().any():
         return _int(parts["days"])
     if parts["y"].notna().any():
@@ -160,7 +160,7 @@ def _count_days(year: Any, month: Any, day: Any) -> NDArray[np.int64] | None:
 
 
 def _unwrap(ns: NDArray[np.int64], missing: NDArray[np.bool_], period: int) -> NDArray[np.int64]:
-    """Return times that begin again after a period as times that go on."""
+    """Return times that wrap after a period as increasing times."""
     known = ns[~missing]
     turns = np.cumsum(np.diff(known, prepend=known[:1]) < -period // 2)
     out = ns.copy()
@@ -169,7 +169,7 @@ def _unwrap(ns: NDArray[np.int64], missing: NDArray[np.bool_], period: int) -> N
 
 
 def find_day_numbers(t: NDArray[np.float64]) -> bool:
-    """Return whether a clock counts days: as seconds its rate or length would be that of no recorder."""
+    """Return whether a clock counts days: in seconds its rate or length would be impossible for a recorder."""
     known = t[np.isfinite(t)]
     steps = np.diff(known)
     if steps.size < 2 or not np.all(steps >= 0.0) or known[-1] <= known[0]:
@@ -189,7 +189,7 @@ class Clocked(NamedTuple):
 
 
 class Joined(NamedTuple):
-    """Channels (M,) on the common clock: which group and rows (M,) of it that is, and remarks."""
+    """Channels (M,) on the common clock, the group and rows (M,) of that clock, and remarks."""
 
     main: int
     rows: NDArray[np.int64]
@@ -245,7 +245,7 @@ def _refuse_backwards(group: Clocked) -> None:
 
 
 def measure_coarse_rate(cells: NDArray[Any]) -> float | None:
-    """Return the samples per second [Hz] of a text clock whose stamps have whole seconds only; None of another one."""
+    """Return the samples per second [Hz] of a text clock whose stamps have whole seconds only; None for other clocks."""
     text = [str(cell) for cell in cells[: 2**16] if not is_blank(cell)]
     changes = [k for k in range(1, len(text)) if text[k] != text[k - 1]]
     if not changes or any(re.search(r":\d+[.,]\d", cell) for cell in text):
@@ -255,7 +255,7 @@ def measure_coarse_rate(cells: NDArray[Any]) -> float | None:
 
 
 def describe_coarse_text(cells: NDArray[Any]) -> str:
-    """Return what is wrong with a text clock of whole seconds; empty for another one."""
+    """Return the fault of a text clock of whole seconds; empty for other clocks."""
     rate = measure_coarse_rate(cells)
     if rate is None:
         return ""

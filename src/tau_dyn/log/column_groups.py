@@ -1,8 +1,8 @@
-"""Which columns of a log belong together, a joint each: told by the words and numbers in their names.
+"""Groups of columns of a log, one column for each joint, found from the words and numbers in their names.
 
-A name is split into words. The joint's name or the last number says whose the column is; the words left say what it is and in
-which unit. Columns with the same words are a group, which counts if it has every joint. Where no group of a kind does, the one
-with most joints counts, filled from columns that say the same in other words.
+A name is split into words. The joint's name or the last number identifies the joint; the remaining words identify quantity and
+unit. Columns with the same words are a group, which counts if it has every joint. If no group of a kind has every joint, the one
+with most joints counts, filled from columns whose other words denote the same kind.
 """
 
 from __future__ import annotations
@@ -25,33 +25,33 @@ _WORDS: Mapping[str, frozenset[str]] = {
     "temp": frozenset("temp temperature temperatures".split()),
     "other": frozenset("tcp tool ee cartesian pose ext external volts voltage error fric friction con load".split()),
 }
-"""What a word of a name says; the first row that knows one decides, after `other` and `reference`."""
+"""Words of a name by the kind that they denote; the first row with a match decides, after `other` and `reference`."""
 
 CLOCKS = frozenset(
     "t time timestamp timestamps datetime stamp clock zeit zeitstempel uhrzeit temps hora tijd secs seconds".split()
 )
 
 _MEASURED = frozenset("actual act measured meas".split())
-"""Words that make a group the better candidate."""
+"""Words that make a group a better candidate."""
 
 
 class ColumnGroup(NamedTuple):
-    """Columns of one name, a joint each: what they are, and by which word they are called."""
+    """Columns of one name, one for each joint, with their kind and the words of their name."""
 
-    kind: str  # a signal, `q_ref`, `current`, `other`, or nothing
+    kind: str  # a signal, `q_ref`, `current`, `other`, or empty
     stem: tuple[str, ...]
-    columns: tuple[str, ...]  # in the robot's order; empty where a joint has none
+    columns: tuple[str, ...]  # in the robot's order; empty for a joint without one
     by_name: bool
     more: int = 0  # numbers beyond the joints
     filled: tuple[str, ...] = ()  # columns of other words or of a shorter joint's name
 
     def score(self) -> tuple[bool, int]:
-        """Return how likely it is to be what was measured."""
+        """Return a rank of how likely the group holds the measured quantity."""
         return self.by_name, len(_MEASURED & set(self.stem)) - ("filt" in self.stem or "filtered" in self.stem)
 
 
 def _classify(words: Sequence[str]) -> str:
-    """Return what a name's words stand for; nothing where they say nothing."""
+    """Return the kind of quantity that a name's words denote; empty if they denote no kind."""
     known = set(words)
     if known & _WORDS["other"]:
         return "other"
@@ -90,7 +90,7 @@ def find_groups(columns: Sequence[str], joints: Sequence[str], file: str) -> lis
 
 
 _PARTIAL: tuple[str, ...] = ("q", "v", "tau", "q_ref")
-"""Kinds of which a map may lack a joint."""
+"""Kinds for which a map may lack a joint."""
 
 
 def _find_partial_groups(
@@ -99,7 +99,7 @@ def _find_partial_groups(
     joints: Sequence[str],
     kinds: set[str],
 ) -> Iterator[ColumnGroup]:
-    """Yield the group with most joints of each of these kinds, filled from columns that say the same in other words."""
+    """Yield the group with most joints of each of these kinds, filled from columns whose other words denote the kind."""
     named = {stem: {j: found[j] for j in joints if j in found} for stem, found in stems.items()}
     for kind in sorted(kinds):
         alike = sorted((s for s in named if named[s] and _classify(s) == kind), key=lambda s: -len(named[s]))
@@ -118,7 +118,7 @@ def _find_partial_groups(
 
 
 def _nearly_names(column: str, joint: str, joints: Sequence[str], kind: str) -> bool:
-    """Tell whether a column is of a kind and has those words of a joint's name that not all joints share."""
+    """Return whether a column is of a kind and has the words that distinguish a joint's name from the others."""
     words, own = split_words(column), set(split_words(joint))
     mark = own - set.intersection(*(set(split_words(j)) for j in joints))
     return bool(mark) and mark <= set(words) and _classify([w for w in words if w not in own]) == kind
@@ -145,7 +145,7 @@ def _split_joint(column: str, joints: Sequence[str]) -> Iterator[tuple[tuple[str
 
 
 def choose_group(groups: Sequence[ColumnGroup], kind: str) -> tuple[ColumnGroup | None, list[str]]:
-    """Return the likeliest group of a kind, and a sentence where others are as likely."""
+    """Return the likeliest group of a kind, and a warning if others are as likely."""
     found = sorted((g for g in groups if g.kind == kind), key=ColumnGroup.score, reverse=True)
     others = [g.columns[0] for g in found[1:] if g.score() == found[0].score()]
     if not others:

@@ -1,13 +1,13 @@
-"""How the columns of a foreign log become ours: names, units, clocks, coupled transmissions, several files.
+"""Column maps from a foreign log to our columns: names, units, clocks, coupled transmissions, several files.
 
-A map is YAML. Each key is one of our column names, each value a foreign column's name or a mapping with `column`, and,
-where wanted, `scale`, `offset` and `file`; ours = scale * theirs + offset. Three keys are not columns: `files` names
+A map is YAML. Each key is one of our column names, each value a foreign column's name or a mapping with `column` and,
+optionally, `scale`, `offset` and `file`; ours = scale * theirs + offset. Three keys are not columns: `files` names
 further files of the same recording, relative to the folder of the log, sampled together or with a clock each
-(`files: {f: {path: forces.csv, t: stamp}}`; a column named as the clock of `t` counts without that); `episode: N` takes the rows
-whose `episode_index` is N; a column's number, from 1, names it in a file without a header; `couplings` holds matrices for
-coupled transmissions (scale and offset first, then ours = matrix @ theirs + offset, joints in the order of their keys
-in the map); and `t: {rate_hz: F}` makes a clock. Numbers are numbers: nothing in a map is evaluated. The map is applied
-in `read.py`.
+(`files: {f: {path: forces.csv, t: stamp}}`; a column with the name of the main clock is found without `t`); `episode: N` takes
+the rows whose `episode_index` is N; a column's number, from 1, names it in a file without a header; `couplings` holds matrices
+for coupled transmissions (scale and offset first, then ours = matrix @ theirs + offset, joints in the order of their keys
+in the map); and `t: {rate_hz: F}` makes a clock. Numbers are numbers: no expression in a map is evaluated. The map is
+applied in `read.py`.
 """
 
 from collections.abc import Mapping
@@ -26,12 +26,12 @@ SOURCE_KEYS = ("column", "scale", "offset", "file")
 
 _IN_SI = "; units are a scale to SI ones, as scale: 0.001 of mm"
 _HINTS: Mapping[Any, str] = {int: "; numbers have a decimal point, as 0.001", "unit": _IN_SI, "units": _IN_SI}
-"""What helps who writes another key, by the key or its type."""
+"""Remedies for invalid keys, by the key or its type."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where one of our columns comes from: ours = scale * theirs + offset."""
+    """Source of one of our columns: ours = scale * theirs + offset."""
 
     column: str
     scale: float = 1.0
@@ -79,7 +79,7 @@ class ColumnMap:
 
     @property
     def is_numbered(self) -> bool:
-        """Whether columns are called by number."""
+        """Whether columns are given by number."""
         return any(source.column.isdigit() for source in self.sources.values())
 
     @classmethod
@@ -87,7 +87,7 @@ class ColumnMap:
         """Read a map from a YAML file.
 
         Raises:
-            InputError: The file is missing, is not YAML, or holds a key, a type or a matrix that means nothing here.
+            InputError: The file is missing, is not YAML, or holds a key, a type or a matrix that is not valid in a map.
         """
         path = Path(path)
         return cls.from_dict(_read_entries(path), name=path.name)
@@ -130,7 +130,7 @@ class ColumnMap:
 
 
 def _to_entry(source: Source) -> Any:
-    """Return what a map gives for a source."""
+    """Return the entry of a map for a source."""
     more = {"scale": (source.scale, 1.0), "offset": (source.offset, 0.0), "file": (source.file, None)}
     given = {key: value for key, (value, default) in more.items() if value != default}
     return {"column": source.column, **given} if given else source.column
@@ -184,12 +184,12 @@ def _source(name: str, key: str, value: Any, files: Mapping[str, str]) -> Source
 
 
 def _is_column_number(value: Any) -> bool:
-    """Tell whether a value calls a column by its number, from 1."""
+    """Return whether a value gives a column by its number, from 1."""
     return type(value) is int and value > 0
 
 
 def _rate(name: str, entries: dict[Any, Any]) -> float | None:
-    """Take `t: {rate_hz: F}` out of the entries and return F, or None where `t` is a column."""
+    """Take `t: {rate_hz: F}` out of the entries and return F, or None if `t` is a column."""
     clock = entries.get("t")
     if not isinstance(clock, dict) or "rate_hz" not in clock:
         return None
@@ -271,7 +271,7 @@ def _array(where: str, value: Any, shape: tuple[int, ...], signal: str) -> NDArr
 
 
 def _number(where: str, value: Any) -> float:
-    """Return a number; YAML reads `1e-3` as text, which is accepted, but nothing is computed."""
+    """Return a number; YAML reads `1e-3` as text, which is accepted, but expressions are not evaluated."""
     try:
         number = float(value) if isinstance(value, int | float | str) and not isinstance(value, bool) else np.nan
     except (ValueError, OverflowError):
@@ -284,7 +284,7 @@ def _number(where: str, value: Any) -> float:
 
 
 def _build_error(name: str, sentence: str) -> InputError:
-    """Return the fault of a map that is not as it has to be."""
+    """Return the error for an invalid map."""
     return InputError("file_format", f"{name}: {sentence}")
 
 

@@ -1,9 +1,9 @@
-"""Column names of a log, read as a signal and a joint, and what is wrong with a cell, a header or a whole file.
+"""Column names of a log, read as a signal and a joint, and faults of a cell, a header or a whole file.
 
 A column is `signal_joint`: `q_ref_cart1` is the signal `q_ref` of the joint `cart1`. `t` [s] is the clock, the tool's columns
-stand alone, and `temp_room` [degC] belongs to no joint. All other names are foreign: they are kept, and nothing here
-interprets them. The list is the contract's; how files are read lives in `table.py` and `read.py`. The likeliest mistakes have
-words of their own: dates, decimal commas, a line of units, other names, other programs' files.
+and `temp_room` [degC] belong to no joint. All other names are foreign: they are kept, and this module does not interpret
+them. The list is the contract's; `table.py` and `read.py` read the files. The likeliest mistakes have messages of their own:
+dates, decimal commas, a line of units, other names, other programs' files.
 """
 
 import json
@@ -14,10 +14,10 @@ from collections.abc import Iterable, Mapping, Sequence
 DEGREE = math.pi / 180  # rad
 
 CONTACT = "contact_"
-"""How columns begin that say whether a foot touches the ground, 0 or 1, or with what force [N]."""
+"""Prefix of columns that hold the contact of a foot with the ground, 0 or 1, or its force [N]."""
 SIGNALS = ("q_ref", "q_link", "voltage", "current", "temp", "tau", "cmd", "pwm", "q", "v", "a")
-"""Signals a joint may have; `q_ref` stands before `q`, so that `q_ref_J` is not read as `q` of `ref_J`, and so does `q_link`,
-the position read behind the drive, on the load side; `cmd` is what a servo was told; `voltage` [V]
+"""Signals a joint may have. `q_ref` comes before `q`, so that `q_ref_J` is not read as `q` of `ref_J`, and so does `q_link`,
+the position measured behind the drive, on the load side. `cmd` is the command to a servo. `voltage` [V]
 and `current` [A] are a motor's, `pwm` its share of the supply."""
 
 TOOL_COLUMNS = (
@@ -32,7 +32,7 @@ ROOM_TEMPERATURE = "temp_room"
 
 
 def split_column_name(column: str) -> tuple[str, str] | None:
-    """Return the signal and the joint that a column name stands for, or None where it stands for no joint."""
+    """Return the signal and the joint that a column name denotes, or None if it denotes no joint."""
     if column == ROOM_TEMPERATURE or column in TOOL_COLUMNS:
         return None
     for signal in SIGNALS:
@@ -42,16 +42,16 @@ def split_column_name(column: str) -> tuple[str, str] | None:
 
 
 def is_contract_name(column: str) -> bool:
-    """Tell whether a column map may define the name: `t`, a joint's signal, a tool column, `temp_room` or a foot's contact."""
+    """Return whether a column map may define the name: `t`, a joint's signal, a tool column, `temp_room` or a foot's contact."""
     alone = column in ("t", ROOM_TEMPERATURE, *TOOL_COLUMNS) or column.startswith(CONTACT)
     return alone or split_column_name(column) is not None
 
 
 def list_used_columns(columns: Iterable[str]) -> tuple[str, ...]:
-    """Return the columns that the library uses, and whose every cell therefore has to be a number.
+    """Return the columns that the library uses; each of their cells has to be a number.
 
-    All but `q_`, `q_ref_` and `tau_` count only beside a `q_` column of the same joint: a foreign log's
-    `a_comment` is nobody's acceleration.
+    All but `q_`, `q_ref_` and `tau_` count only if there is a `q_` column of the same joint: a foreign log's
+    `a_comment` is no joint's acceleration.
     """
     columns = tuple(columns)
     joints = {joint for signal, joint in map_joints(columns) if signal == "q"}
@@ -86,11 +86,11 @@ _OTHER_FILES = {
     b"PAR1": "a Parquet file; let its name end in .parquet",
     b"\x89HDF": "an HDF5 file (MATLAB 7.3 is one); export it as CSV or Parquet, from MATLAB with save(.., '-v7')",
 }
-"""What a file that is no text begins with -> what it is, and what to do."""
+"""First bytes of a binary file -> its format, and a remedy."""
 
 
 def describe_bad_cell(cell: object, largest: float) -> str:
-    """Say why a cell is not a usable number, and what would be right."""
+    """Return why a cell is not a usable number, and a correct form."""
     text = "" if cell is None else str(cell).strip()
     if not text:
         return "the cell is empty; every sample needs a number here"
@@ -108,7 +108,7 @@ def describe_bad_cell(cell: object, largest: float) -> str:
 
 
 def is_blank(cell: object) -> bool:
-    """Tell whether a cell stands for a missing number: empty, or a program's word for it."""
+    """Return whether a cell denotes a missing number: empty, or a program's word for it."""
     return cell is None or str(cell).strip().lower() in _MISSING
 
 
@@ -118,12 +118,12 @@ _MISSING = frozenset(
 
 
 def is_time_text(cell: object) -> bool:
-    """Tell whether a cell begins as a date or a time of day does."""
+    """Return whether a cell begins like a date or a time of day."""
     return bool(_DATE.match(str(cell).strip()))
 
 
 def is_unit_row(first: object, second: object) -> bool:
-    """Tell whether a column's first cell is a unit above numbers, such as `[s]`."""
+    """Return whether a column's first cell is a unit above numbers, such as `[s]`."""
     text = str(first).strip()
     return (
         not is_blank(text)
@@ -134,7 +134,7 @@ def is_unit_row(first: object, second: object) -> bool:
 
 
 def describe_foreign_file(data: bytes) -> str:
-    """Return what a file is that is plainly no table, and what to do about it; nothing where it may be one."""
+    """Return the format of a file that is clearly no table, with a remedy; empty if it may be a table."""
     known = next((words for start, words in _OTHER_FILES.items() if data.startswith(start)), "")
     return known or (
         "JSON; a log is CSV with the columns t, q_JOINT, tau_JOINT, or Parquet, MCAP, a ROS bag or .mat"
@@ -144,7 +144,7 @@ def describe_foreign_file(data: bytes) -> str:
 
 
 def _is_json(data: bytes) -> bool:
-    """Tell whether a file begins as JSON does; a header may begin with a bracket as well, as `[s]`."""
+    """Return whether a file begins like JSON; a header may begin with a bracket as well, such as `[s]`."""
     text = data[:400].removeprefix(b"\xef\xbb\xbf").lstrip()
     if text[:1] == b"{":
         return True
@@ -158,7 +158,7 @@ def _is_json(data: bytes) -> bool:
 
 
 def find_nearest_column(name: str, columns: Iterable[str]) -> str:
-    """Return the column that is called so but for capitals, blanks and punctuation; nothing where there is none."""
+    """Return the column with this name except for capitals, blanks and punctuation; empty without a match."""
     return next((c for c in columns if _bare(c) == _bare(name)), "")
 
 
@@ -167,14 +167,14 @@ def _bare(name: str) -> str:
 
 
 def describe_missing_column(file: str, name: str, columns: Sequence[str], why: str = "", more: str = "") -> str:
-    """Return the sentence about a column that is not there: what is, and which was probably meant.
+    """Return the sentence about a missing column, with the existing columns and the probably intended one.
 
     Args:
         file: The log's name.
-        name: The column wanted.
-        columns: Those that there are.
-        why: A clause on who wants it.
-        more: A clause on what else would help.
+        name: The missing column.
+        columns: The existing columns.
+        why: A clause on who needs it.
+        more: A clause on further remedies.
     """
     if len(columns) == 1 and columns[0].count(" ") > 1:
         return f"{file} has one column, '{columns[0][:60]}'; separate names and cells by commas, semicolons or tabs."
@@ -189,13 +189,13 @@ def split_words(name: str) -> tuple[str, ...]:
 
 
 def find_named_scale(column: str, kind: str) -> float | None:
-    """Return the size of the unit that a column's name says; None where it says none."""
+    """Return the size in SI of the unit in a column's name; None if the name has no unit."""
     words = split_words(column)[1:]
     return next((scale for unit, scale in _SCALES[kind].items() if unit in words), None)
 
 
 def find_scale_of_unit(unit: str, column: str) -> float | None:
-    """Return the size in SI of a unit that is given for one of our columns; None where it is none that is known."""
+    """Return the size in SI of a unit that is given for one of our columns; None if the unit is unknown."""
     pair = split_column_name(column)
     kind = {"q_ref": "q", "q_link": "q", "t": "t"}.get(pair[0] if pair else column, pair[0] if pair else "")
     text = unit.strip("[]() ").lower().replace("°", "deg")
@@ -219,7 +219,7 @@ _SCALES: Mapping[str, Mapping[str, float]] = {
     "v": {"deg": DEGREE, "degrees": DEGREE, "rad": 1.0, "rpm": math.pi / 30, "mm": 1e-3},
     "tau": {"nm": 1.0, "mnm": 1e-3, "ncm": 1e-2},
 }  # fmt: skip
-"""Units that a name may say, and their size in SI."""
+"""Units that a name may contain, and their size in SI."""
 
 _CLOCKS = ("t", "time", "zeit", "temps", "timestamp", "stamp", "clock", "sec", "seconds")
 

@@ -1,9 +1,10 @@
-"""A foreign log's columns and a robot's joints become a proposed column map, with a sentence for each doubt.
+"""Propose a column map from a foreign log's columns and a robot's joints, with a sentence for each doubt.
 
-Names tell which columns may be positions, velocities, torques, references or currents (`column_groups.py`). Units that no name
-says are told by magnitude: positions by the joints' limits, clocks by their step. A velocity has to be the derivative of the
-position, whose slope also tells its unit. Currents are no torques: the torque constant is not in a log, and is not invented.
-The map is read back before it is proposed. Where no column is a position, a template lists the numeric columns.
+Names indicate which columns may be positions, velocities, torques, references or currents (`column_groups.py`). Units that are
+not in a name follow from magnitude: positions from the joints' limits, clocks from their step. A velocity has to be the
+derivative of the position; the slope between them also gives the position's unit. Currents are no torques: the torque constant is
+not in a log, and is not invented. The map is read back before it is proposed. If no column is a position, a template lists the
+numeric columns.
 """
 
 from __future__ import annotations
@@ -42,10 +43,10 @@ from tau_dyn.message_codes import CodedWarning
 from tau_dyn.results import count
 
 MIN_CORRELATION = 0.9
-"""Of a position and its integrated velocity, both without their trend; sensors' noise leaves more, another signal less."""
+"""Correlation of a position and its integrated velocity, both without trend; sensor noise leaves more, another signal less."""
 
 MAX_SLOPE_ERROR = 0.1
-"""How far the slope of position over integrated velocity may lie from a unit's size; the units lie wider apart."""
+"""Largest relative deviation of the slope of position over integrated velocity from a unit's size; units differ by more."""
 
 MAX_SECONDS_STEP = 0.5
 """Longest step [s] of a robot's log; a larger number counts smaller units."""
@@ -62,8 +63,8 @@ class ColumnProposal:
         sha256: Hash of the log's bytes.
         robot_joints: The robot's actuated joints.
         entries: The map, as YAML gives it.
-        warnings: What is unsure, a sentence each.
-        template: Lines to complete by hand where no column is a position; empty otherwise.
+        warnings: One sentence for each doubt.
+        template: Lines to complete by hand if no column is a position; empty otherwise.
     """
 
     log: str
@@ -85,7 +86,7 @@ class ColumnProposal:
         return "\n".join([*lines, *self.template]) + "\n"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what JSON holds."""
+        """Return the JSON form."""
         more = {"template": list(self.template)} if self.template else {}
         return {"log": self.log, "joints": list(self.robot_joints), "columns": dict(self.entries), **more}
 
@@ -99,7 +100,7 @@ def propose_columns(path: str | Path, robot: JointLimits) -> ColumnProposal:
 
     Raises:
         InputError: The log cannot be read.
-        CannotAnswer: No column but the clock holds numbers.
+        CannotAnswer: No column except the clock holds numbers.
     """
     table = _read(Path(path))
     table, draft = _choose_episode(table)
@@ -159,7 +160,7 @@ def _read_back(path: Path, entries: Mapping[str, Any], robot: JointLimits) -> _D
 
 
 MAX_TEMPLATE_COLUMNS = 60
-"""Columns that a template lists; a person chooses from a page."""
+"""Largest number of columns in a template."""
 
 
 def _write_template(
@@ -169,7 +170,7 @@ def _write_template(
 
     Raises:
         InputError: Each row holds the name of a signal.
-        CannotAnswer: There is no column of numbers but the clock.
+        CannotAnswer: There is no column of numbers except the clock.
     """
     refuse_signals_in_rows(table)
     free = [column for column in values if column not in _list_named(entries)]
@@ -195,7 +196,7 @@ def _write_template(
 
 @dataclass(frozen=True)
 class _Draft:
-    """Lines of a map, and what is unsure about them."""
+    """Lines of a map, and doubts about them."""
 
     entries: Mapping[str, Any]
     warnings: Sequence[str]
@@ -206,7 +207,7 @@ class _Draft:
 
 
 def _name_gaps(table: Table, entries: Mapping[str, Any], robot: JointLimits) -> _Draft:
-    """Return what is to be said of joints that lack a position or torque which others have, with the columns that are left.
+    """Return warnings about joints that lack a position or torque which others have, with the remaining columns.
 
     A column with the right name is kept, whatever its cells hold.
     """
@@ -248,7 +249,7 @@ def _read(path: Path) -> Table:
 
 
 def _find_numbers(table: Table, column: str) -> NDArray[np.float64] | None:
-    """Return a column (N,) of numbers, its gaps bridged for judging it; None of text or without numbers."""
+    """Return a column (N,) of numbers, with its gaps interpolated for the tests; None for text or without numbers."""
     if table.cells[column].dtype.kind == "b":
         return None
     values = table.numbers_or_none(column)
@@ -280,7 +281,7 @@ def _list_named(entries: Mapping[str, Any]) -> set[str]:
 def _propose_clock(
     table: Table, values: Mapping[str, NDArray[np.float64]]
 ) -> tuple[NDArray[np.float64] | None, _Draft]:
-    """Return the times (N,) [s], None where there is no clock, and the clock's line."""
+    """Return the times (N,) [s], None if there is no clock, and the clock's line."""
     recorded, name = _Recorded(values, table.units, None), table.name
     rising = [c for c, x in values.items() if x.size > 1 and np.all(np.diff(x) > 0)]
     named = [c for c in values if CLOCKS & set(split_words(c)[:1] + split_words(c)[-2:])]
@@ -338,7 +339,7 @@ _EPOCH_S = (9e8, 4.1e9)
 
 
 def _find_clock_scale(first: float, step: float) -> float:
-    """Return the size of a clock's unit [s], by its size where it counts from 1970, else by its step."""
+    """Return the size of a clock's unit [s], by its magnitude if it counts from 1970, else by its step."""
     sizes = (1.0, 1e-3, 1e-6, 1e-9)
     dated = (s for s in sizes if _EPOCH_S[0] <= first * s <= _EPOCH_S[1] and step * s <= MAX_SECONDS_STEP)
     stepped = (s for s in sizes if step * s <= MAX_SECONDS_STEP or s == 1e-9)
@@ -351,7 +352,7 @@ _TIME_UNITS = {1e-3: "ms", 1e-6: "us", 1e-9: "ns"}
 def _guess_numbered(
     columns: Sequence[str], values: Mapping[str, NDArray[np.float64]], t: NDArray[np.float64] | None, n: int
 ) -> tuple[list[ColumnGroup], _Draft]:
-    """Return the groups of a file without a header: blocks of n columns, a joint each, where something tells them apart."""
+    """Return the groups of a file without a header: blocks of n columns, one for each joint, if they can be identified."""
     blocks = [tuple(columns[k : k + n]) for k in range(0, len(columns) - n + 1, n)]
     pairs = [(a, b) for a in blocks for b in blocks if a != b]
     moving = next((p for p in pairs if t is not None and _match_slope(p, values, t) is not None), None)
@@ -371,7 +372,7 @@ def _guess_numbered(
 def _match_slope(
     pair: tuple[tuple[str, ...], tuple[str, ...]], values: Mapping[str, NDArray[np.float64]], t: NDArray[np.float64]
 ) -> float | None:
-    """Return the slope of positions over integrated velocities, of joints that move; None where they do not go together."""
+    """Return the slope of positions over integrated velocities, for joints that move; None if they do not match."""
     slopes = []
     for position, velocity in zip(*pair, strict=True):
         q, v = values[position], values[velocity]
@@ -394,7 +395,7 @@ def _detrend(t: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.float
 
 
 class _Positions(NamedTuple):
-    """Chosen positions: their columns by joint, and what brings each one to SI units."""
+    """Chosen positions: their columns and their scales to SI units, by joint."""
 
     columns: Mapping[str, str]
     scales: Mapping[str, float]
@@ -403,7 +404,7 @@ class _Positions(NamedTuple):
 def _propose_positions(
     table: Table, groups: Sequence[ColumnGroup], recorded: _Recorded, robot: JointLimits
 ) -> tuple[_Positions, _Draft]:
-    """Return the positions, and their lines; none where no column can be one."""
+    """Return the positions, and their lines; both empty if no column can be a position."""
     joints = tuple(robot.actuated)
     chosen, warnings = choose_group(groups, "q")
     if chosen is None:
@@ -429,7 +430,7 @@ def _propose_positions(
 def _find_position_scales(
     columns: Mapping[str, str], velocities: Mapping[str, str], recorded: _Recorded, robot: JointLimits
 ) -> tuple[dict[str, float], list[str]]:
-    """Return what brings each joint's positions to m or rad, and doubts; joints of a kind share a unit."""
+    """Return the scale of each joint's positions to m or rad, and doubts; joints of a kind share a unit."""
     scales, warnings = dict.fromkeys(columns, 1.0), []
     pairs = list(zip(robot.actuated, robot.joint_kinds, strict=True))
     for kind, small, unit in (("revolute", DEGREE, "degrees"), ("prismatic", 1e-3, "mm")):
@@ -469,7 +470,7 @@ MANY_TURNS = 4 * np.pi
 def _judge_unlimited(
     mine: Mapping[int, str], velocities: Mapping[str, str], recorded: _Recorded, robot: JointLimits
 ) -> tuple[dict[str, float], list[str]]:
-    """Return the units of turning joints without limits: degrees where a velocity in rad/s says so, else rad with a doubt."""
+    """Return the units of turning joints without limits: degrees if a velocity in rad/s shows it, else rad with a doubt."""
     scales: dict[str, float] = {}
     warnings: list[str] = []
     for k, column in mine.items():
@@ -495,7 +496,7 @@ def _judge_unlimited(
 
 
 def _is_within(q: NDArray[np.float64], robot: JointLimits, k: int) -> bool:
-    """Tell whether positions lie within a joint's limits; without limits, within 10 m, and any number of turns."""
+    """Return whether positions are within a joint's limits; without limits, within 10 m, or any number of turns."""
     low, high = float(robot.lower[k]), float(robot.upper[k])
     if not np.isfinite(high - low):
         return robot.joint_kinds[k] == "revolute" or bool(np.all(np.abs(q) <= 10.0))
@@ -536,13 +537,13 @@ def _propose_velocities(
 
 
 def _round_scale(slope: float, likely: float) -> float | None:
-    """Return the unit's size that a slope means, the likely one first; None where none is near."""
+    """Return the unit size nearest a slope, the likely one first; None if no size is near."""
     sizes = (likely, 1.0, DEGREE, np.pi / 30, 1e-3)
     return next((s for s in sizes if abs(slope / s - 1) <= MAX_SLOPE_ERROR), None)
 
 
 def _propose_forces(groups: Sequence[ColumnGroup], recorded: _Recorded, robot: JointLimits) -> _Draft:
-    """Return lines of measured torques, or what currents and controllers' torques lack."""
+    """Return lines of measured torques, or doubts about currents and controllers' torques."""
     joints = tuple(robot.actuated)
     chosen, warnings = choose_group(groups, "tau")
     if chosen is not None:
@@ -578,7 +579,7 @@ def _propose_forces(groups: Sequence[ColumnGroup], recorded: _Recorded, robot: J
 def _propose_references(
     groups: Sequence[ColumnGroup], recorded: _Recorded, q: _Positions, robot: JointLimits
 ) -> _Draft:
-    """Return lines of the positions that were asked for, in the unit of the positions unless their names say another."""
+    """Return lines of the reference positions, in the unit of the positions unless their names contain another."""
     chosen, warnings = choose_group(groups, "q_ref")
     columns, taken = _pair(chosen, robot.actuated)
     entries = {}
@@ -600,7 +601,7 @@ def _format_entry(value: Any) -> str:
 
 
 def _quote(text: str) -> str:
-    """Return text as YAML reads it back; quoted unless it is a plain word."""
+    """Return text in a form that YAML reads back; quoted unless it is a plain word."""
     plain = re.fullmatch(r"[A-Za-z_][\w.]*", text, re.ASCII) and text.lower() not in _YAML_WORDS
     return text if plain else yaml.safe_dump(text, default_style='"', width=float("inf")).strip()
 

@@ -1,7 +1,7 @@
-"""A recording too large for memory as a copy that can be read from the middle: Parquet in a temporary folder.
+"""Copy of a recording too large for memory that can be read from the middle: Parquet in a temporary folder.
 
-Text comes as tables of some lines each, every line and every cell checked and counted as in a small file; Parquet in row
-groups too large for memory is written anew. The copy is gone when nobody uses it any more.
+Text is read as tables of some lines each; every line and every cell is checked and counted as in a small file. Parquet with row
+groups too large for memory is written again. The copy is deleted when it is no longer used.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ CHUNK_BYTES = 2**24
 def iterate_text_chunks(path: Path, digest: Any = None, *, foreign: bool = False) -> Iterator[Table]:
     """Yield a delimited file's rows as tables, each with its lines' numbers in the file.
 
-    A file that grows meanwhile is read as far as it went at the start.
+    A file that grows meanwhile is read up to its size at the start.
 
     Args:
         path: The file.
-        digest: A hash of `hashlib` that is given every byte read.
+        digest: A hash of `hashlib` that receives every byte read.
         foreign: Whether blanks may separate cells; there has to be a header.
     """
     with path.open("rb") as file:
@@ -56,7 +56,7 @@ def iterate_text_chunks(path: Path, digest: Any = None, *, foreign: bool = False
             if not b"".join(body).strip():
                 lines += len(body)
                 continue
-            shift = lines - 1  # the header is line 1 of what is parsed
+            shift = lines - 1  # the header is line 1 of the parsed text
             try:
                 cells, places, warnings, _ = parse_delimited(path.name, b"".join([head, *body]), foreign=foreign)
             except InputError as fault:
@@ -68,7 +68,7 @@ def iterate_text_chunks(path: Path, digest: Any = None, *, foreign: bool = False
 
 
 def _next_lines(file: BinaryIO, left: int) -> list[bytes]:
-    """Return the lines to parse at once; the last ones come together, as an incomplete line is told by those above it."""
+    """Return the lines to parse at once; the last ones come together, as an incomplete line is recognised by those above it."""
     body = file.readlines(CHUNK_BYTES if left > 2 * CHUNK_BYTES else left)
     over = sum(map(len, body)) - left
     if over > 0:
@@ -82,7 +82,7 @@ def _count(digest: Any, data: bytes) -> None:
 
 
 def _head(file: BinaryIO, path: Path) -> tuple[bytes, int, bytes]:
-    """Return the header line, how many lines the file's top has up to it, and all of them."""
+    """Return the header line, the number of lines up to it, and these lines."""
     taken = []
     for number, line in enumerate(file, start=1):
         taken.append(line)
@@ -110,10 +110,10 @@ _ROWS = 2**17
 
 
 class TemporaryFolder:
-    """A folder that is gone when nobody uses it any more."""
+    """A folder that is deleted when it is no longer used."""
 
     def __init__(self) -> None:
-        """Make it where the system keeps temporary files (`TMPDIR`); those of killed processes go."""
+        """Create it in the system's folder for temporary files (`TMPDIR`), and delete those of killed processes."""
         remove_stale_files(Path(tempfile.gettempdir()), "tau_dyn_")
         self.path: Path = Path(tempfile.mkdtemp(prefix=f"tau_dyn_{get_owner_name()}.", suffix=".part"))
         weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
@@ -124,10 +124,10 @@ class Copy(NamedTuple):
 
     Attributes:
         paths: Its files.
-        folder: Where they live.
-        digest: Hash of what was copied, where it is known.
-        warnings: What was left out while reading.
-        texts: Columns that hold text somewhere, which nobody can use.
+        folder: Their folder.
+        digest: Hash of the copied bytes, if known.
+        warnings: Sentences about lines that were left out while reading.
+        texts: Columns that hold text somewhere and cannot be used.
     """
 
     paths: tuple[Path, ...]
@@ -138,7 +138,7 @@ class Copy(NamedTuple):
 
 
 def copy_text(path: Path, map_: ColumnMap | None) -> Copy:
-    """Copy a large text file: its columns of ours (under their own names or by a map) checked, foreign ones if they are numbers.
+    """Copy a large text file: our columns (under their own names or by a map) are checked, foreign ones kept if numeric.
 
     Raises:
         InputError: A line or a cell is at fault, or the copy does not fit on the disk.
@@ -191,7 +191,7 @@ def copy_groups(name: str, files: Iterable[tuple[Path, pq.ParquetFile]], most_ro
 
 
 def _batches(path: Path, file: pq.ParquetFile, rows: int) -> Iterator[pa.RecordBatch]:
-    """Yield a file's rows, so many at a time."""
+    """Yield a file's rows in tables of at most so many rows."""
     try:
         yield from file.iter_batches(batch_size=rows)
     except (pa.ArrowException, OSError) as fault:
@@ -200,7 +200,7 @@ def _batches(path: Path, file: pq.ParquetFile, rows: int) -> Iterator[pa.RecordB
 
 @contextmanager
 def _room_for_a_copy(name: str, folder: TemporaryFolder) -> Iterator[None]:
-    """Say where the room is missing when a copy does not fit."""
+    """Raise an error that names the full disk if a copy does not fit."""
     try:
         yield
     except OSError as fault:

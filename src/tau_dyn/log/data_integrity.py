@@ -1,28 +1,28 @@
-"""What a log alone shows of losses on its way to the file: coded warnings, and the log with them mended.
+"""Losses on the way to the file that a log shows by itself: coded warnings, and the mended log.
 
-All tests look at raw stamps and raw columns: interpolation and filters hide what they look for. A fault that is mended or whose
-samples are left out is a `RepairedWarning`, which blocks no result. Only what remains in the data can bias one.
+All tests look at raw stamps and raw columns, because interpolation and filters hide the losses. A fault that is mended or whose
+samples are left out is a `RepairedWarning`, which blocks no result. Only faults that remain in the data can bias a result.
 
-**Low update rates** (`update_rate.py`). Where channels are held or interpolated from a lower rate, the updates alone are used.
+**Low update rates** (`update_rate.py`). If channels are held or interpolated from a lower rate, only the updates are used.
 
 **Frozen channels** (`signal_checks.py`). Positions and forces that keep one value while the joint moves are left out.
 
 **Repeated samples.** A row that equals the row before in all positions and forces, while the joints move, is no measurement.
-Where the next row is two steps ahead the clock went on, and leaving the row out is exact, however many there are. Where it is one
-step ahead the row was inserted, and all later times are moved up.
+If the next row is two steps ahead, the clock went on, and leaving the row out is exact, however many there are. If it is one
+step ahead, the row was inserted, and all later times are moved up.
 
-**Lost samples.** A logger that numbers its samples hides what it lost: the stamps stay even and the motion jumps. Each step
+**Lost samples.** A logger that numbers its samples hides its losses: the stamps stay even and the motion jumps. Each step
 between two samples is compared with a local polynomial through its neighbours (Savitzky & Golay 1964), stretched after the step
 by `s` sample steps that all joints share:
 
     q_j(i) = p_j(i)  up to the step,    q_j(i) = p_j(i + s)  behind it
 
 A lost sample gives s = 1, one inserted twice s = -1. `z` is the estimate of `s` over its standard error. Steps with z > 10 and
-`s` within 0.25 of a nonzero integer are events. What is not a lost sample (a knock, a rough motion) has no reason to prefer
+`s` within 0.25 of a nonzero integer are events. Other causes (a knock, a rough motion) have no reason to prefer
 integers, so steps nearer to the half integers are counted as a control. Alarm: three events, and more than twice the control.
 
 **Scattered stamps** (`update_rate.py`). Stamps of a logger that follow the device's even clock loosely are replaced by that
-clock. **Short gaps** (`resample.py`) are filled where the rows around tell what is missing.
+clock. **Short gaps** (`resample.py`) are filled if the rows around them determine the missing ones.
 
 **Forces that drop out.** A missing measurement is often written as zero or as the value before. A zero run is a stretch of
 exact zeros whose two neighbours are six typical steps off, on the same side: a force that passes through zero changes its
@@ -49,19 +49,19 @@ from tau_dyn.message_codes import CodedWarning, RepairedWarning
 from tau_dyn.results import count
 
 MIN_STEPS_OFF = 6.0
-"""How far the neighbours stand from zero, in median changes of a sample; noise passes four in 1 of 1000 samples."""
+"""Distance of the neighbours from zero, in median changes of a sample; noise passes four in 1 of 1000 samples."""
 
 MIN_DROPOUTS = 3
-"""So many runs are no accident."""
+"""Least number of runs that are beyond chance."""
 
 MIN_HELD = 3
-"""Samples of a held run; two equal values happen to a rounded channel."""
+"""Least samples of a held run; a rounded channel may repeat a value once."""
 
 MAX_REPEATS = 0.02
-"""Share of pairs of equal neighbours above which a channel repeats by rounding and held runs cannot be told."""
+"""Share of pairs of equal neighbours above which a channel repeats by rounding and held runs cannot be recognised."""
 
 MAX_RUN_S = 0.5
-"""Longer zeros [s] are a drive that was off, or a channel that is frozen, which has a test of its own."""
+"""Longer zeros [s] mean a drive that is off, or a frozen channel, which has a test of its own."""
 
 
 def find_zero_runs(log: Log, joint: str) -> NDArray[np.intp]:
@@ -80,7 +80,7 @@ def find_zero_runs(log: Log, joint: str) -> NDArray[np.intp]:
 
 
 def find_held_runs(log: Log, column: str) -> NDArray[np.intp]:
-    """Return the first sample (n,) of each run of held values that ends far off, in a channel that hardly repeats itself."""
+    """Return the first sample (n,) of each run of held values with a jump at its end, in a channel that hardly repeats itself."""
     x = log.channels[column]
     runs = find_constant_runs(x)
     if np.count_nonzero(runs.lengths == 2) > MAX_REPEATS * log.n_samples or len(runs.starts) < 20:
@@ -140,10 +140,10 @@ MIN_Z = 10.0
 """Least size of a stretch in its standard errors; encoder noise alone reaches 5 in a million steps."""
 
 INTEGER_MARGIN = 0.25
-"""How near to an integer a stretch lies [sample steps]; the half integers' share of the axis is the same."""
+"""Largest distance of a stretch from an integer [sample steps]; the half integers' share of the axis is the same."""
 
 MIN_EVENTS = 3
-"""So many events are no accident: a single one can be a knock."""
+"""Least number of events that are beyond chance: a single one can be a knock."""
 
 MAX_STRETCH = 30
 """Larger stretches [sample steps] are jumps of the position, which have a test of their own."""
@@ -152,7 +152,7 @@ MAX_MENDED_SHARE = 0.01
 """Above this share of events among moving steps the clock is not mended: each unseen loss shifts what follows."""
 
 MIN_NET_SHARE = 0.8
-"""Net over travelled way in a window from which a joint counts: about a reversal a way back looks like many samples lost."""
+"""Least net over total travel in a window for a joint to count: near a reversal, motion back looks like many lost samples."""
 
 _WINDOWS = ((3, 2), (6, 3), (12, 3))
 """Samples on each side and degree of the polynomial: short for fast motions, long for noisy encoders."""
@@ -162,11 +162,11 @@ _EXTENDED = 1e-9
 
 
 class LostSamples(NamedTuple):
-    """Where a counted clock is wrong.
+    """Samples at which a counted clock is wrong.
 
     Attributes:
         after: Samples after which the clock is wrong (n,).
-        steps: Sample steps to be inserted there (n,); negative where samples stand twice.
+        steps: Sample steps to be inserted there (n,); negative if samples occur twice.
         n_control: Steps that a half integer would explain.
         n_tested: Steps at which one lost sample would be seen.
     """
@@ -178,7 +178,7 @@ class LostSamples(NamedTuple):
 
     @property
     def alarm(self) -> bool:
-        """True where samples are missing or stand twice, beyond chance."""
+        """True if samples are missing or occur twice, beyond chance."""
         return len(self.after) >= MIN_EVENTS and len(self.after) > 2 * self.n_control
 
 
@@ -189,7 +189,7 @@ def find_lost_samples(log: Log, joints: Sequence[str] = ()) -> LostSamples:
     """Find lost and inserted samples under an even clock.
 
     Args:
-        log: A log as read; a measured (uneven) clock tells its losses by itself and is not tested.
+        log: A log as read; a measured (uneven) clock shows its losses by itself and is not tested.
         joints: The joints to look at; by default all that have a `q`.
     """
     names = tuple(joints) or log.joints("q")
@@ -200,7 +200,7 @@ def find_lost_samples(log: Log, joints: Sequence[str] = ()) -> LostSamples:
 
 
 _LOOKED_AT: WeakKeyDictionary[Log, dict[tuple[str, ...], LostSamples]] = WeakKeyDictionary()
-"""What logs in use were found to have lost: a log is judged, and mended, one after the other."""
+"""Lost samples of logs in use: a log is judged first and mended later."""
 
 
 def _find_lost_samples(log: Log, names: tuple[str, ...]) -> LostSamples:
@@ -225,7 +225,7 @@ def _find_lost_samples(log: Log, names: tuple[str, ...]) -> LostSamples:
 def find_repeated_rows(log: Log, joints: Sequence[str] = ()) -> NDArray[np.intp]:
     """Return samples (n,) at which no position and no force changes although the neighbours move.
 
-    The joint moves surely where the mean of four steps around exceeds six of their standard deviations and one encoder step.
+    A joint surely moves if the mean of four steps around exceeds six of their standard deviations and one encoder step.
     """
     names = tuple(joints) or log.joints("q")
     columns = [log.channels[f"q_{joint}"] for joint in names if log.has("q", [joint])]
@@ -264,10 +264,11 @@ def _is_inserted(log: Log, joints: Sequence[str], repeated: NDArray[np.intp]) ->
 
 
 def _list_repeated(log: Log, joints: Sequence[str], seen: NDArray[np.intp], inserted: bool) -> NDArray[np.intp]:
-    """Return the samples (n,) after which a row is repeated: those seen in motion, and short equal runs that are no chance.
+    """Return the samples (n,) after which a row is repeated: those seen in motion, and short equal runs beyond chance.
 
-    A sound row that is left out costs nothing where the clock goes on. Where it does not, the equal neighbours of each channel
-    apart from those seen tell how many rows would be equal by chance; with one or more only those seen count.
+    Leaving out a sound row does no harm if the clock went on. If rows were inserted, the share of equal neighbours in each
+    channel, outside rows that are equal as a whole, gives the number of rows expected to be equal by chance; if it is one or
+    more, only rows seen in motion count.
     """
     x = np.column_stack([log.channels[f"{s}_{j}"] for s in ("q", "tau") for j in joints if log.has(s, [j])])
     equal = np.diff(x, axis=0) == 0
@@ -281,7 +282,7 @@ def _list_repeated(log: Log, joints: Sequence[str], seen: NDArray[np.intp], inse
 
 
 def _mend_repeated(log: Log, joints: Sequence[str]) -> Repair:
-    """Leave out repeated rows, and move up what follows where rows were inserted."""
+    """Leave out repeated rows, and move up later times if rows were inserted."""
     seen = find_repeated_rows(log, joints)
     if len(seen) < MIN_EVENTS:
         return Repair(log, [])
@@ -300,9 +301,9 @@ def _mend_repeated(log: Log, joints: Sequence[str]) -> Repair:
 
 
 def _mend_lost(log: Log, joints: Sequence[str]) -> Repair:
-    """Return the log with its lost samples as gaps in the clock and inserted ones left out, where they are few.
+    """Return the log with its lost samples as gaps in the clock and inserted ones left out, if they are few.
 
-    A few events can be mended: each is known to the sample. Many cannot, as some pass unseen while the robot is slow.
+    A few events can be mended: each is known to the sample. Many cannot, as some are not detected while the robot is slow.
     """
     even, rows = _fill_single_gaps(log)
     found, keep = find_lost_samples(even, joints), np.isin(np.arange(even.n_samples), rows)
@@ -337,9 +338,9 @@ def _mend_lost(log: Log, joints: Sequence[str]) -> Repair:
 
 
 def _leave_out_late(found: LostSamples, keep: NDArray[np.bool_]) -> LostSamples:
-    """Return the events away from rows that were left out; between such a row and an event right behind it, rows are left out.
+    """Return the events away from rows that were left out, and leave out rows between such a row and an event right behind it.
 
-    Where two rows in a row were late, the second one is not equal to the first, and the motion is ahead behind it.
+    If two consecutive rows were late, the second one is not equal to the first, and the motion jumps ahead behind it.
     """
     if keep.all():
         return found
@@ -353,7 +354,7 @@ def _leave_out_late(found: LostSamples, keep: NDArray[np.bool_]) -> LostSamples:
 
 
 def _fill_single_gaps(log: Log) -> tuple[Log, NDArray[np.intp]]:
-    """Return a log on an even clock with left-out rows interpolated, and where its own rows are in it; else the log itself."""
+    """Return a log on an even clock with left-out rows interpolated, and the places of its own rows; else the log itself."""
     place = np.round((log.t - log.t[0]) / log.dt).astype(int)
     even = np.abs((log.t - log.t[0]) / log.dt - place).max() < MAX_OFF_GRID and np.all(np.diff(place) > 0)
     if not even or place[-1] == len(place) - 1 or np.diff(place).max() > MAX_FILLED + 1:
@@ -368,7 +369,7 @@ MAX_OFF_GRID = 0.1
 
 
 def _take(log: Log, keep: NDArray[np.bool_], t: NDArray[np.float64]) -> Log:
-    """Return the rows of a log that are kept, at other times (N,); the log itself where neither changes."""
+    """Return the kept rows of a log at other times (N,); the log itself if neither changes."""
     if keep.all() and t is log.t:
         return log
     return Log(t[keep], {k: x[keep] for k, x in log.channels.items()}, log.name, log.sha256, log.warnings)
@@ -377,7 +378,7 @@ def _take(log: Log, keep: NDArray[np.bool_], t: NDArray[np.float64]) -> Log:
 def _stretches(
     q: NDArray[np.float64], half: int, degree: int, floor: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return for each step (N-1,) its stretch [sample steps], that over its standard error, and one step over it."""
+    """Return for each step (N-1,) its stretch [sample steps], the stretch over its standard error, and one step over it."""
     n = len(q)
     out = tuple(np.zeros(n - 1) for _ in range(3))
     if n < 4 * half:
@@ -418,7 +419,7 @@ def _stretches(
 def _sort(
     stretch: NDArray[np.float64], z: NDArray[np.float64], half: NDArray[np.float64], n_tested: int
 ) -> LostSamples:
-    """Return the events; of steps whose windows overlap the surest counts."""
+    """Return the events; of steps with overlapping windows, the most significant one counts."""
     sure = np.flatnonzero((z > MIN_Z) & (np.abs(stretch) > INTEGER_MARGIN) & (np.abs(stretch) < MAX_STRETCH))
     taken = np.zeros(len(z) + 1, bool)
     after, steps, n_control = [], [], 0
@@ -438,7 +439,7 @@ def _sort(
 
 
 def _is_held(x: NDArray[np.float64]) -> bool:
-    """Return whether a channel is renewed less often than it is logged; its steps tell nothing of the clock."""
+    """Return whether a channel is updated less often than it is logged, so that its steps carry no information on the clock."""
     changes = np.flatnonzero(np.diff(x) != 0)
     gaps = np.diff(changes)
     usual = int(np.median(gaps)) if gaps.size else 1
@@ -462,11 +463,11 @@ def _lost_sentence(log: Log, found: LostSamples, lost: NDArray[np.intp]) -> str:
 
 
 MIN_SAMPLES = 50
-"""Shorter logs show no pattern."""
+"""Shorter logs are not tested for patterns [samples]."""
 
 
 class Repair(NamedTuple):
-    """A log with its faults mended, and what was found: `RepairedWarning` where it was mended, else `CodedWarning`."""
+    """A log with its faults mended, and a warning for each fault: `RepairedWarning` if it was mended, else `CodedWarning`."""
 
     log: Log
     warnings: list[CodedWarning]
@@ -486,7 +487,7 @@ def _mend_updates(log: Log, joints: Sequence[str]) -> Repair:
 def _describe_updates(
     log: Log, rate: UpdateRate, columns: Sequence[str], kind: type[CodedWarning]
 ) -> list[CodedWarning]:
-    """Return that channels are updated less often than logged, and for held ones by how much they are late."""
+    """Return a warning that channels are updated less often than logged, with the delay of held ones."""
     names = "all positions and forces" if set(rate.columns) >= set(columns) else ", ".join(rate.columns)
     verb = "are" if len(rate.columns) > 1 else "is"
     between = "held" if rate.held else "interpolated linearly"
@@ -544,7 +545,7 @@ def _mend_samples(log: Log, joints: Sequence[str]) -> Repair:
 
 
 def _mend_stamps(log: Log, joints: Sequence[str]) -> Repair:
-    """Give a log the even times of its device where its stamps scatter around them."""
+    """Return a log with the even times of its device if its stamps scatter around them."""
     if log.n_samples < MIN_SAMPLES or not log.has("q", joints):
         return Repair(log, [])
     found = find_device_clock(log.t, log.joint("q", joints))
@@ -559,7 +560,7 @@ def _mend_stamps(log: Log, joints: Sequence[str]) -> Repair:
 
 
 def _fill_gaps(log: Log, joints: Sequence[str]) -> Repair:
-    """Fill gaps in which the motion is known as well as if it were measured."""
+    """Fill gaps in which the motion is known as accurately as if it were measured."""
     filled, n, longest_s = fill_short_gaps(log, joints)
     if not n:
         return Repair(log, [])
@@ -571,14 +572,14 @@ def _fill_gaps(log: Log, joints: Sequence[str]) -> Repair:
 
 
 _STEPS = (_mend_updates, _leave_out_frozen, _mend_samples, _mend_dropouts, _fill_gaps)
-"""In this order: a low update rate looks like lost samples, and repeated rows look like both."""
+"""Repairs in their order: a low update rate looks like lost samples, and repeated rows look like both."""
 
 _REPAIRED: WeakKeyDictionary[Log, dict[tuple[str, ...], Repair]] = WeakKeyDictionary()
-"""Repairs of logs in use: a log is judged, and mended, one after the other."""
+"""Repairs of logs in use: a log is judged first and mended later."""
 
 
 def repair_log(log: Log, joints: Sequence[str] = ()) -> Repair:
-    """Return a log as read with what can be mended mended, and all faults that it shows by itself; sound logs give none.
+    """Return the log with its repairable faults mended, and all faults that it shows by itself; no faults for sound logs.
 
     Args:
         log: A log as read, before any interpolation.
@@ -601,5 +602,5 @@ def list_data_warnings(log: Log, joints: Sequence[str] = ()) -> list[CodedWarnin
 
 
 def mend_log(log: Log, joints: Sequence[str] = ()) -> Log:
-    """Return a log with its faults mended or left out where that is safe; a sound log itself."""
+    """Return a log with its faults mended or left out if that is safe; a sound log itself."""
     return repair_log(log, joints).log

@@ -1,9 +1,9 @@
 """Delimited text (comma, semicolon or tab) split into columns, with the line number of every row.
 
 The layout is checked here, line by line, before pandas turns cells into numbers: pandas alone pads short rows and
-forgets where they stood. Byte order marks and all line ends are accepted. Meaning and units are no concern of this
-file. Foreign text may also be separated by blanks, and lack a header or a name in it: such columns are
-called by number, from 1. Spreadsheets add decimal commas, rows of separators alone, a line `sep=;`, and rows of units below
+loses their line numbers. Byte order marks and all line ends are accepted. This module does not interpret meaning and
+units. Foreign text may also be separated by blanks, and lack a header or a name in it: such columns are
+numbered from 1. Spreadsheets add decimal commas, rows of separators alone, a line `sep=;`, and rows of units below
 the header: all are read, with a remark.
 """
 
@@ -24,7 +24,7 @@ from tau_dyn.message_codes import CodedWarning
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 
 MAX_COLUMNS = 10_000
-"""Columns of a table; a header with more is no header."""
+"""Largest number of columns of a table; a longer line is no header."""
 
 
 _EMPTY = ' \t,;"\r'
@@ -38,14 +38,14 @@ _SAMPLED_LINES = 50
 """Lines with a comma from which the decimal sign is taken; a logger writes all lines by one locale."""
 
 MAX_UNIT_ROWS = 3
-"""Rows of text between header and numbers: units, descriptions and types, as recorders of controllers write them."""
+"""Largest number of text rows between header and numbers: units, descriptions and types from controllers' recorders."""
 
 
 class Delimited(NamedTuple):
     """A text file's columns.
 
     Attributes:
-        cells: Columns by name, each (N,) as numbers where all its cells are, else as text.
+        cells: Columns by name, each (N,) as numbers if all its cells are numbers, else as text.
         lines: The line number (N,) of each row.
         warnings: Remarks on the layout, and on lines that were left out.
         units: Units by column, of a file with a row of units below its header.
@@ -61,9 +61,9 @@ class _Layout(NamedTuple):
     name: str
     separator: str
     header: list[str]
-    header_line: int  # where it stands
+    header_line: int  # its line number
     lines: list[str]  # the rows
-    numbers: list[int]  # the line each row stands on
+    numbers: list[int]  # the line number of each row
     ends_with_newline: bool
 
 
@@ -76,7 +76,7 @@ def parse_delimited(name: str, data: bytes, *, foreign: bool = False) -> Delimit
         foreign: Whether blanks may separate cells and the header may be missing.
 
     Raises:
-        InputError: The bytes are not UTF-8 or UTF-16, a header or rows are missing, a name stands twice, or a row has
+        InputError: The bytes are not UTF-8 or UTF-16, a header or rows are missing, a name occurs twice, or a row has
             another length.
     """
     text, remarks = _decode(name, data)
@@ -109,7 +109,7 @@ def _decode(name: str, data: bytes) -> tuple[str, list[str]]:
 
 
 def _find_wide_encoding(data: bytes) -> str:
-    """Return the name of UTF-16 text's encoding, with a byte order mark or without; empty for other text."""
+    """Return the encoding of UTF-16 text, with or without a byte order mark; empty for other text."""
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return "utf-16"
     start = data[:64]
@@ -152,7 +152,7 @@ def _lay_out(name: str, text: str, foreign: bool) -> _Layout:
 
 
 def _begins_table(line: str) -> bool:
-    """Tell whether a line is the header: the first one that is no comment and has a cell in it."""
+    """Return whether a line is the header: the first line that has a cell and is not a comment."""
     return bool(line.strip(_EMPTY)) and not line.lstrip().startswith("#")
 
 
@@ -185,7 +185,7 @@ def _take_unit_rows(layout: _Layout) -> tuple[_Layout, dict[str, str]]:
 
 
 def _is_text_row(cells: Sequence[str]) -> bool:
-    """Tell whether no cell of a row is a sample: a number, a missing number or a time."""
+    """Return whether no cell of a row is a sample: a number, a missing number or a time."""
     filled = [cell.strip() for cell in cells if cell.strip()]
     return bool(filled) and not any(is_blank(cell) or is_time_text(cell) or _is_list(cell) for cell in filled)
 
@@ -200,7 +200,7 @@ def _is_cell_number(cell: str) -> bool:
 
 
 def _are_blanks_between(lines: list[str], at: int) -> bool:
-    """Tell whether blanks separate the cells: of numbers, or of names without another separator and as many as below."""
+    """Return whether blanks separate the cells: numbers, or names without another separator, as many as in the rows below."""
     cells = lines[at].split()
     below = next((line.split() for line in lines[at + 1 :] if line.strip()), [])
     numeric = all(map(_is_number, cells))
@@ -248,7 +248,7 @@ def _check_header(name: str, line: int, header: list[str]) -> None:
 
 
 def _check_lengths(layout: _Layout) -> tuple[_Layout, tuple[str, ...]]:
-    """Refuse a row with another number of cells than the header; let an unfinished last one go with a warning."""
+    """Refuse a row with another number of cells than the header; drop an unfinished last row with a warning."""
     wanted = len(layout.header)
     counts = _count_cells(layout)
     wrong = np.flatnonzero(counts != wanted)
@@ -291,7 +291,7 @@ def _count_cells(layout: _Layout) -> NDArray[np.int64]:
 _EXACT: dict[str, Any] = (
     {} if tuple(map(int, pd.__version__.split(".")[:2])) >= (3, 1) else {"float_precision": "round_trip"}
 )
-"""What makes pandas read each number as Python does; from version 3.1 on it does by itself."""
+"""Options that make pandas read each number as Python does; version 3.1 and later do so by default."""
 
 
 def _parse(layout: _Layout) -> tuple[pd.DataFrame, list[str]]:
@@ -329,7 +329,7 @@ def _parse(layout: _Layout) -> tuple[pd.DataFrame, list[str]]:
 
 
 def _find_decimal_sign(layout: _Layout) -> tuple[str, str | None]:
-    """Return the decimal sign, and the sign between thousands where there is one."""
+    """Return the decimal sign, and the thousands separator if there is one."""
     if layout.separator == "," and not any('"' in line for line in layout.lines):
         return ".", None
     lines = [line for line in layout.lines if "," in line][:_SAMPLED_LINES]
@@ -340,7 +340,7 @@ def _find_decimal_sign(layout: _Layout) -> tuple[str, str | None]:
 
 
 def _read_decimal_commas(cells: Any) -> Any:
-    """Return a column of text as numbers where its cells are such, or missing, by one of the two decimal signs."""
+    """Return a column of text as numbers if its cells are numbers or missing, by one of the two decimal signs."""
     if cells.dtype.kind in "fiub":
         return cells
     text = cells.astype(str).str.strip()
@@ -353,7 +353,7 @@ def _read_decimal_commas(cells: Any) -> Any:
 
 
 def _last_cell_is_cut(layout: _Layout) -> bool:
-    """Tell whether the file stops inside its last number.
+    """Return whether the file stops inside its last number.
 
     Only a file without a final newline can. Its last cell is taken as cut when it is no number in a column of numbers, or
     when it has fewer characters, decimals or digits of an exponent than each of the 50 cells above it (`1.5` of `1.52e-05`
@@ -378,7 +378,7 @@ def _last_cell_is_cut(layout: _Layout) -> bool:
 
 
 def _decimals(cell: str) -> str:
-    """Return the decimal point and what follows it."""
+    """Return the decimal point and the digits after it."""
     return "".join(cell.lower().partition("e")[0].partition(".")[1:])
 
 

@@ -1,7 +1,7 @@
-"""Even stretches of a recording on disk: its clock is read once, cut at gaps, and every window then comes on an even clock.
+"""Even stretches of a recording on disk: its clock is read once and cut at gaps; every window is then on an even clock.
 
 The rules are those of `resample.py`: an even clock is left alone, one that is even but rounded is replaced, an uneven one
-is interpolated by a cubic spline. A spline feels samples n steps away by 0.27^n, so a window's own samples and 64 more on each
+is interpolated by a cubic spline. Samples n steps away affect a spline by 0.27^n, so a window's own samples and 64 more on each
 side give the numbers that the whole recording would.
 """
 
@@ -17,7 +17,7 @@ from tau_dyn.log.resample import MAX_RELATIVE_JITTER, MIN_GAP_STEPS, MIN_SEGMENT
 from tau_dyn.results import count
 
 _STEPS = 2**20  # steps from which the usual one is taken, spread evenly
-_INDEX = 4096  # every so manieth sample's time is kept
+_INDEX = 4096  # the time of every n-th sample is kept
 _AROUND = 64  # samples of a spline beyond its window
 
 
@@ -26,7 +26,7 @@ class EvenSegment:
     """A part of a recording without gaps, on an even clock, read in windows.
 
     Attributes:
-        recording: Where it is from.
+        recording: The recording that it is part of.
         first: Its first sample in the recording.
         n_recorded: Its samples there.
         n_samples: Its samples on the even clock.
@@ -34,7 +34,7 @@ class EvenSegment:
         dt: Time between samples [s].
         clock: `even`, `rounded` or `uneven`.
         index: Times of every 4096th recorded sample of the stretch (n,), for finding uneven ones.
-        warnings: What is doubtful.
+        warnings: Sentences about doubts.
     """
 
     recording: Recording
@@ -70,7 +70,7 @@ class EvenSegment:
         return Log(t, {key: interpolate(log.t, x, t) for key, x in log.channels.items()}, log.name)
 
     def survey(self, wanted: tuple[str, ...], most: int, count: int = 8) -> list[Log]:
-        """Return the stretch whole where it has at most `most` samples, else `count` windows spread over it."""
+        """Return the whole stretch if it has at most `most` samples, else `count` windows spread over it."""
         if self.n_samples <= most:
             return [self.window(0, self.n_samples, wanted)]
         size = most // count
@@ -83,7 +83,7 @@ class EvenSegment:
 
 @dataclass(frozen=True, eq=False)
 class InMemorySegment:
-    """An even stretch of a log in memory that is read as one on disk."""
+    """An even stretch of a log in memory, with the interface of one on disk."""
 
     log: Log
 
@@ -115,7 +115,7 @@ def split_even_segments(recording: Recording) -> list[EvenSegment]:
     """Read a recording's clock and return its even stretches; those with fewer than 10 samples are left out.
 
     Raises:
-        InputError: Time does not run forward.
+        InputError: Time does not increase.
     """
     scan = _Scan(recording.n_samples)
     for _, t in recording.clock():
@@ -158,7 +158,7 @@ def _stretch(
 
 
 class _Scan:
-    """What one look at all times leaves behind."""
+    """Statistics of the steps from one pass over all times."""
 
     def __init__(self, n: int) -> None:
         self.stride = max(1, n // _STEPS)
@@ -186,18 +186,18 @@ class _Scan:
         kept = (rows % self.stride == 0) & np.isfinite(steps)
         self.steps.append(steps[kept])
         few = slice(None, None, max(1, len(t) // 64))
-        self._index.append(np.column_stack([rows[few], t[few]]))  # a slice of all would keep all
+        self._index.append(np.column_stack([rows[few], t[few]]))  # a slice would keep the whole array
         self.rounded = self.rounded and len(t) > 2 and is_rounded(t)
         self._last, self._n = float(t[-1]), self._n + len(t)
         self.span = self._last - self.t0
 
     def lies_on_a_line(self) -> bool:
-        """Return whether times sampled all over lie on one straight line."""
+        """Return whether times, sampled over the whole stretch, are on one straight line."""
         rows, t = np.concatenate(self._index).T
         return bool(np.max(np.abs(self.t0 + self.span / (self._n - 1) * rows - t)) <= 1.5 * self._usual)
 
     def jitter(self, start: int, stop: int) -> float:
-        """Return how far usual steps stray, as a share, in the parts that a stretch touches."""
+        """Return the largest relative deviation of usual steps, in the parts that a stretch touches."""
         return max(x for a, b, x in self._jitter if a < stop and b > start)
 
 

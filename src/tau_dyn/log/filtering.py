@@ -1,41 +1,40 @@
-"""From measured positions to velocities without shifting anything in time, their noise, and the band of the motion.
+"""Velocities from measured positions without time shift, the noise of positions, and the band of the motion.
 
 **Low-pass**: a Butterworth filter run forwards and backwards, so its power response is |H|^4 and its phase is zero:
 
     |H(f)|^2 = 1 / (1 + (tan(pi f dt) / tan(pi f_c dt))^(2 order))
 
-with half the amplitude at `cutoff_hz`. Whatever multiplies forces in a fit has to pass the same filter as the forces; filtering
-`W` and `tau` differently biases it. Derivatives are central differences, with the gain `sin(w dt) / (w dt)`, 2.3 % short at 60 Hz
-and 1 kHz. Arrays are (N, ...) along axis 0. Reference: Gautier, Vandanjon & Presse 1994. Clocks live in `resample.py`.
+with half the amplitude at `cutoff_hz`. Columns of a fit have to pass the same filter as the forces; filtering `W` and `tau`
+differently biases it. Derivatives are central differences, with the gain `sin(w dt) / (w dt)`, 2.3 % short at 60 Hz
+and 1 kHz. Arrays are (N, ...) along axis 0. Reference: Gautier, Vandanjon & Presse 1994. Clocks are in `resample.py`.
 
 **Noise**: an encoder's noise and its quantisation while moving are white; a motion driven through a mass is not, and its
-spectrum falls steeply. So the level is read where motion has died out, in the upper half of the band (a quarter to half of the
-sampling rate):
+spectrum falls steeply. So the level is read at frequencies without motion, in the upper half of the band (a quarter to half of
+the sampling rate):
 
-1. fourth differences whiten the motion away (2 Hz at 1 kHz is reduced to 2.5e-8) and multiply white noise by |2 sin(w
+1. fourth differences remove the motion (2 Hz at 1 kHz is reduced to 2.5e-8) and multiply white noise by |2 sin(w
    dt / 2)|^4;
-2. the log is cut into windows, and those in which the joint stands still are left out, since a resting encoder hides
+2. the log is cut into windows, and those in which the joint is at rest are left out, since a resting encoder hides
    its rounding;
 3. in each window the level is the median over frequencies of the periodogram divided by that gain, which a few lines (a
-   gear, a resonance) do not move; over windows it is the median again, which a few knocks do not move;
+   gear, a resonance) do not affect; over windows it is the median again, which a few knocks do not affect;
 4. a level below that of uniform rounding, step / sqrt(12), is raised to it.
 
-Then `sigma_v^2 = sigma^2 (2 dt) int |H|^4 (sin(w dt) / dt)^2 df`. The estimate fails, to the high side, where real vibration
-fills the whole upper band, and to the low side where the drive has already filtered q.
+Then `sigma_v^2 = sigma^2 (2 dt) int |H|^4 (sin(w dt) / dt)^2 df`. The estimate is too high if real vibration
+fills the whole upper band, and too low if the drive has already filtered q.
 
 **Band**: the spectrum is taken of second differences of q (Welch, Blackman-Harris windows of 8 s), which keeps the motion's
 large slow part from leaking over everything else, and divided by their gain. The noise floor is the median over 0.25 to 0.49
 of the sampling rate. The motion band reaches from the spectral peak as far as the signal stays ten times above that floor; its
 edge is where 99.9 % of the *velocity's* power is reached. Acceleration would count vibration.
 
-**Low-pass with decimation**: away from the ends a zero-phase filter is a convolution with the response `h` to one sample. Of
-the filtered signal every
-`factor`-th sample is wanted, so
+**Low-pass with decimation**: away from the ends a zero-phase filter is a convolution with the response `h` to one sample. Only
+every `factor`-th sample of the filtered signal is needed, so
 
     y[j] = sum_k h[k] x[j factor - k],     |k| <= half,
 
-is computed for those alone: the signal in blocks, each times one matrix that holds what it adds to the kept samples of its own
-block and of the neighbouring ones. `h` fades exponentially, by the filter's slowest pole; the ends are filtered recursively.
+is computed for those alone: the signal in blocks, each times one matrix that holds its contribution to the kept samples of its
+own block and of the neighbouring ones. `h` fades exponentially, by the filter's slowest pole; the ends are filtered recursively.
 """
 
 from collections.abc import Sequence
@@ -117,13 +116,13 @@ def _filter_both_ways(x: NDArray[np.float64], pad: int, design: Design) -> NDArr
 
 
 def compute_attenuation(f: NDArray[np.float64], cutoff_hz: float, order: int = 4) -> NDArray[np.float64]:
-    """Return how many times smaller `lowpass` makes sines of frequencies f (...) [Hz], far below half the sampling rate."""
+    """Return the attenuation of `lowpass` for sines of frequencies f (...) [Hz], far below half the sampling rate."""
     square = np.square(f / cutoff_hz)
-    return 1 + (np.square(np.square(square)) if order == 4 else square**order)  # a power costs ten products
+    return 1 + (np.square(np.square(square)) if order == 4 else square**order)  # a power takes the time of ten products
 
 
 def compute_edge_samples(cutoff_hz: float, rate_hz: float, order: int = 4) -> int:
-    """Return how many samples at each end of a log the low-pass of `lowpass` disturbs.
+    """Return the number of samples at each end of a log that `lowpass` disturbs.
 
     After them 1 % of a transient is left, by the filter's slowest pole, of real part `-2 pi f_c sin(pi / (2 order))`.
     """
@@ -137,7 +136,7 @@ def differentiate(x: ArrayLike, dt: float, accuracy: int = 2) -> NDArray[np.floa
     Args:
         x: Samples (N, ...), evenly spaced.
         dt: Time between samples [s].
-        accuracy: Order of the error in `dt`: 2, or 4 where the motion reaches above 2 % of the sampling rate.
+        accuracy: Order of the error in `dt`: 2, or 4 if the motion reaches above 2 % of the sampling rate.
 
     Returns:
         Derivative (N, ...) in the unit of `x` per second. The first and last samples (two of each with `accuracy=4`)
@@ -179,7 +178,7 @@ _DIFFERENCES = 4  # order of differences, which remove a smooth motion
 
 
 def estimate_quantisation_step(q: ArrayLike) -> NDArray[np.float64]:
-    """Return the step (n,) or () of a rounded signal (N, n) or (N,), and 0 where values stand on no grid.
+    """Return the step (n,) or () of a rounded signal (N, n) or (N,), and 0 for values on no grid.
 
     The step is the smallest change between samples; it counts only if 99 % of all changes are whole multiples of it.
     """
@@ -197,7 +196,7 @@ def estimate_encoder_noise(q: ArrayLike) -> NDArray[np.float64]:
 
 
 def compute_noise_gain(rate_hz: float, cutoff_hz: float, order: int = 4, derivatives: int = 1) -> float:
-    """Return what `lowpass` and central differences make of white noise of 1 [1/s^derivatives]."""
+    """Return the gain of `lowpass` and central differences on white noise [1/s^derivatives]."""
     half_turns = (np.arange(4096) + 0.5) / 4096 * np.pi / 2  # pi f dt, from 0 to half the sampling rate
     with np.errstate(over="ignore"):
         passed = 1.0 / (1.0 + (np.tan(half_turns) / np.tan(np.pi * cutoff_hz / rate_hz)) ** (2 * order))
@@ -235,8 +234,8 @@ def _white_level(q: NDArray[np.float64]) -> float:
 _WINDOW_S = 8.0  # [s] of Welch's method
 _SMOOTHING_HZ = 2.0  # [Hz] over which the spectrum is averaged
 _MIN_SNR = 10.0  # power over that of the noise, at the band's edge
-_CLEAR_SNR = 300.0  # power over that of the noise, where the motion is beyond doubt
-_POWER_SHARE = 0.999  # of the motion's power lies below the band's edge
+_CLEAR_SNR = 300.0  # power over that of the noise, for motion beyond doubt
+_POWER_SHARE = 0.999  # of the motion's power that is below the band's edge
 _NOISE_SHARE = 1e-4  # of the motion's power that noise within the band may have
 
 
@@ -245,12 +244,12 @@ class MotionBand:
     """The band of the motion of each joint.
 
     Attributes:
-        edge_hz: Below it lies 99.9 % of the velocity's power (n,) [Hz].
-        noise_edge_hz: Below it, the acceleration's noise power is less than 1e-4 of the acceleration's power (n,) [Hz]; a
-            regressor low-passed there is not biased by its own noise.
+        edge_hz: Frequency below which 99.9 % of the velocity's power is (n,) [Hz].
+        noise_edge_hz: Frequency below which the acceleration's noise power is less than 1e-4 of the acceleration's power (n,)
+            [Hz]; a regressor low-passed there is not biased by its own noise.
         encoder_noise: White-noise level of the encoder (n,), in the unit of q.
-        signal_edge_hz: Up to it the motion stands ten times above the encoder's noise (n,) [Hz].
-        clear_edge_hz: Up to it the motion stands 300 times above the encoder's noise (n,) [Hz].
+        signal_edge_hz: Frequency up to which the motion's power is 10 times that of the encoder's noise (n,) [Hz].
+        clear_edge_hz: Frequency up to which the motion's power is 300 times that of the encoder's noise (n,) [Hz].
     """
 
     edge_hz: NDArray[np.float64]
@@ -264,7 +263,7 @@ def find_motion_band(q: ArrayLike, rate_hz: float) -> MotionBand:
     """Find the band of the motion in measured positions (N, n), evenly spaced and not filtered."""
     q = np.asarray(q, dtype=np.float64)
     acceleration = np.diff(q, 2, axis=0) * rate_hz**2
-    n = min(len(acceleration), round(_WINDOW_S * rate_hz))  # a rate of 199.9999 Hz is one of 200
+    n = min(len(acceleration), round(_WINDOW_S * rate_hz))  # a rate of 199.9999 Hz means 200
     f, power = signal.welch(acceleration, rate_hz, "blackmanharris", nperseg=n, detrend=cast(Any, False), axis=0)
     gain = (2 * np.sin(np.pi * f / rate_hz)) ** 4 * rate_hz**4
     upper = (f > 0.25 * rate_hz) & (f < 0.49 * rate_hz)
@@ -282,10 +281,10 @@ SPEED_NOISE_FACTOR = 10.0
 
 
 def choose_force_cutoff(bands: Sequence[MotionBand], rate_hz: float, factor: float = FORCE_BAND_FACTOR) -> float:
-    """Return the cutoff [Hz] above the motion of all bands and below what encoder noise makes of the acceleration.
+    """Return the cutoff [Hz] above the motion of all bands and below the band in which encoder noise disturbs accelerations.
 
     Args:
-        bands: Of each log.
+        bands: Motion bands of each log.
         rate_hz: Lowest sampling rate of the logs [Hz].
         factor: Cutoff over the motion's band edge.
     """
@@ -300,8 +299,9 @@ FINEST_COUNT = 2.0**-26
 finest encoders resolve 26 bits a turn. The linear drive of EMPS counts 2^22 steps in its range, a UR10's smoothed joints 2^46."""
 
 REST_SHARE = 0.02
-"""Share of a joint's fast speed below which it rests where its noise does not show: stick-slip and pre-sliding follow no law of
-Coulomb and viscous friction. 1 to 5 % give a UR10's smoothed positions the same held-out error within 0.5 %, 0 a fifth more."""
+"""Share of a joint's fast speed below which it counts as at rest if its noise does not show: stick-slip and pre-sliding do not
+follow Coulomb and viscous friction. 1 to 5 % give a UR10's smoothed positions the same held-out error within 0.5 %, 0 a fifth
+more."""
 
 FAST_QUANTILE = 0.95
 """Quantile of a joint's speeds that is called its fast speed; a single knock does not move it."""
@@ -310,7 +310,7 @@ FAST_QUANTILE = 0.95
 def compute_rest_speed(
     q: np.ndarray, rate_hz: float, cutoff_hz: float, factor: float = SPEED_NOISE_FACTOR
 ) -> np.ndarray:
-    """Return the speed (n,) below which a joint's direction is unsure: it rests, or its noise decides.
+    """Return the speed (n,) below which a joint's direction is unsure, from rest or from its noise.
 
     Args:
         q: Measured positions (N, n) [m or rad], evenly spaced and not filtered.
@@ -336,7 +336,7 @@ def _edges(f: NDArray, power: NDArray, noise: NDArray, resolution: float) -> tup
     velocity = np.divide(clean, (2 * np.pi * f) ** 2, out=np.zeros_like(clean), where=f > 0.5 * resolution)
     peak = int(np.argmax(velocity))
     clear, top = (peak + int(np.argmax(np.append(ratio[peak:], 0.0) < least)) for least in (_CLEAR_SNR, _MIN_SNR))
-    if top == peak or velocity[:top].sum() <= 0:  # nothing stands out of the noise: a joint at rest
+    if top == peak or velocity[:top].sum() <= 0:  # no peak above the noise: a joint at rest
         return 0.0, 0.0, 0.0, 0.0
     share = np.cumsum(velocity[:top])
     edge = f[np.searchsorted(share, _POWER_SHARE * share[-1])]
@@ -350,7 +350,7 @@ def _smooth(x: NDArray, width: int) -> NDArray:
 
 
 _CUT = 1e-12
-"""Share of the response's transient at which it is cut off: rounding is not far below."""
+"""Share of the response's transient at which it is cut off, a little above rounding."""
 _KEPT = 32
 """Kept samples of a block: more are products with zeros, fewer are small matrices, which are slow."""
 
@@ -362,10 +362,10 @@ def lowpass_and_decimate(x: ArrayLike, cutoff_hz: float, rate_hz: float, factor:
         x: Samples (N, ...), evenly spaced.
         cutoff_hz: Frequency at which half the amplitude passes [Hz].
         rate_hz: Sampling rate [Hz].
-        factor: Every how many samples one is kept.
+        factor: One of so many samples is kept.
 
     Raises:
-        InputError: As those two.
+        InputError: As `lowpass` and `decimate`.
     """
     x = np.asarray(x, dtype=np.float64)
     if factor < 2 or not 0.0 < cutoff_hz < rate_hz / 2:
@@ -382,7 +382,7 @@ def lowpass_and_decimate(x: ArrayLike, cutoff_hz: float, rate_hz: float, factor:
         parts = row[: (count + 2 * reach) * block].reshape(-1, block) @ response.matrix
         parts = parts.reshape(-1, 2 * reach + 1, _KEPT)
         y[begin:stop] = sum(parts[m : m + count, m] for m in range(2 * reach + 1)).ravel()
-    away = -(-response.half // factor)  # kept samples beyond which an end of a part is forgotten
+    away = -(-response.half // factor)  # kept samples beyond which an end of a part has no effect
     late = min(stop - away, len(x) // factor - begin - away)
     ends = np.stack([rows[:, : len(x) - late * factor], rows[:, late * factor :]])
     ends = decimate(lowpass(ends.transpose(2, 0, 1), cutoff_hz, rate_hz), factor)
@@ -392,12 +392,12 @@ def lowpass_and_decimate(x: ArrayLike, cutoff_hz: float, rate_hz: float, factor:
 
 @dataclass(frozen=True, eq=False)
 class _Response:
-    """How kept samples answer to a block of samples.
+    """Response of the kept samples to a block of samples.
 
     Attributes:
-        matrix: What a block (B) adds to the kept samples of the blocks around it (B, (2 reach + 1) kept), the last one first.
-        half: Samples to either side that a sample reaches.
-        reach: Blocks to either side that a block reaches.
+        matrix: Contribution of a block (B) to the kept samples of the blocks around it (B, (2 reach + 1) kept), last one first.
+        half: Samples to either side that a sample affects.
+        reach: Blocks to either side that a block affects.
     """
 
     matrix: np.ndarray

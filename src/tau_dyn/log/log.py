@@ -1,9 +1,9 @@
 """A recording, measured or simulated: one clock and named channels.
 
 `t` [s] increases strictly; each channel is a column of the file under the contract's name (`q_J`, `tau_J`, ... in SI
-units). All arrays are read-only, so a log can be shared, split and windowed without copies. Nothing that takes a `Log`
-knows whether its numbers were recorded or simulated. Reading lives in `read.py`, an even clock in `resample.py`,
-filters in `filtering.py`.
+units). All arrays are read-only, so a log can be shared, split and windowed without copies. Functions of a `Log`
+work in the same way on recorded and simulated data. See `read.py` for reading, `resample.py` for an even clock,
+`filtering.py` for filters.
 """
 
 import csv
@@ -33,10 +33,10 @@ _NAME_IT = "; log it, or let a column map say which column it is"
 
 @dataclass(frozen=True, eq=False)
 class Origin:
-    """How a log was read.
+    """Origin of a log's columns.
 
     Attributes:
-        column_map: The column map; None of a log under our own names.
+        column_map: The column map; None for a log under our own names.
         without_numbers: Columns of ours whose every cell is empty or `nan`, which the log therefore lacks.
     """
 
@@ -51,10 +51,10 @@ class Log(Shown):
     Attributes:
         t: Time (N,) [s], finite and strictly increasing, read-only.
         channels: Every other column by its name, each (N,) float64 and read-only; foreign columns may hold NaN.
-        name: File name for messages, or what the simulator called the log.
+        name: File name for messages, or the name that the simulator gave.
         sha256: Hash of the bytes of the file or files; empty for a simulated log.
-        warnings: What was doubtful on the way in, one sentence each.
-        origin: How it was read.
+        warnings: Doubts found while reading, one sentence each.
+        origin: Origin of its columns.
 
     Example:
         >>> t = np.arange(0.0, 10.0, 0.01)
@@ -74,7 +74,7 @@ class Log(Shown):
     origin: Origin = Origin()
 
     def __post_init__(self) -> None:
-        """Freeze the arrays and refuse a clock that stands still or channels of another length."""
+        """Freeze the arrays and refuse a clock that does not increase or channels of another length."""
         t = _frozen(self.t)
         channels = {key: _frozen(value) for key, value in self.channels.items()}
         if t.ndim != 1 or t.size < 2:
@@ -91,7 +91,7 @@ class Log(Shown):
         object.__setattr__(self, "warnings", tuple(self.warnings))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Let a log travel between processes; a mapping proxy cannot."""
+        """Allow pickling of a log; a mapping proxy cannot be pickled."""
         return Log, (self.t, dict(self.channels), self.name, self.sha256, self.warnings, self.origin)
 
     @property
@@ -103,7 +103,7 @@ class Log(Shown):
     def dt(self) -> float:
         """Time between samples [s]: the mean of the usual steps, those within half of their median.
 
-        Lost samples do not move it; nor does rounding, which would the median: at 1.7e9 s a clock counts in steps of 2.4e-7 s.
+        Lost samples do not affect it, and neither does rounding, unlike the median: at 1.7e9 s a clock has steps of 2.4e-7 s.
         """
         steps = np.diff(self.t)
         usual = steps[np.abs(steps - np.median(steps)) < 0.5 * np.median(steps)]
@@ -124,18 +124,18 @@ class Log(Shown):
         return tuple(joint for kind, joint in map_joints(self.channels) if kind == signal)
 
     def has(self, signal: str, names: Iterable[str]) -> bool:
-        """Tell whether every joint named has a column of this signal."""
+        """Return whether every joint named has a column of this signal."""
         return all(f"{signal}_{name}" in self.channels for name in names)
 
     def joint(self, signal: str, names: Iterable[str]) -> NDArray[np.float64]:
         """Return one signal of several joints.
 
         Args:
-            signal: One of `names.SIGNALS`, such as `q`, `tau` or `q_ref`.
+            signal: One of `column_names.SIGNALS`, such as `q`, `tau` or `q_ref`.
             names: Joints, in the order wanted for the columns.
 
         Returns:
-            Samples (N, n), one column a joint, in the log's SI units.
+            Samples (N, n), one column for each joint, in the log's SI units.
 
         Raises:
             InputError: A joint has no such column.
@@ -196,7 +196,7 @@ class Log(Shown):
         """Return the number of samples."""
         return self.n_samples
 
-    __iter__ = None  # neither a mapping nor a sequence: `t` and `channels` say what is meant
+    __iter__ = None  # neither a mapping nor a sequence: use `t` or `channels`
 
     @overload
     def __getitem__(self, key: str) -> NDArray[np.float64]: ...
@@ -223,7 +223,7 @@ class Log(Shown):
         return self.t if key == "t" else self.channels[key]
 
     def _to_samples(self, key: slice) -> slice:
-        """Return a slice of samples for one that may have times as its ends."""
+        """Return a slice of samples from a slice of samples or of times."""
         ends = [x for x in (key.start, key.stop) if x is not None]
         times = [isinstance(x, float | np.floating) for x in ends]
         if not any(times):
@@ -250,13 +250,13 @@ class Log(Shown):
         return replace(self, warnings=tuple(dict.fromkeys((*self.warnings, *warnings))))
 
     def to_frame(self) -> "pd.DataFrame":
-        """Return the log as a table with `t` first, one row a sample."""
+        """Return the log as a table with `t` first, one row for each sample."""
         import pandas as pd
 
         return pd.DataFrame({"t": self.t, **self.channels})
 
     def to_csv(self, path: str | Path) -> None:
-        """Write the log as CSV with 12 significant digits, the whole file or none.
+        """Write the log as CSV with 12 significant digits; the file is written completely or not at all.
 
         Raises:
             InputError: The folder does not exist or cannot be written.
@@ -272,7 +272,7 @@ class Log(Shown):
 
 
 def _frozen(values: ArrayLike) -> NDArray[np.float64]:
-    """Return the values as read-only float64, copied only where somebody could still write to them."""
+    """Return the values as read-only float64, copied only if they could still be written to."""
     array = np.asarray(values, dtype=np.float64)
     if array.flags.writeable or array.base is not None and getattr(array.base, "flags", array.flags).writeable:
         array = array.copy()

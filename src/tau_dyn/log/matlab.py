@@ -1,13 +1,13 @@
 """MATLAB files of level 5 (v5 to v7.2, `save -v7`), read in plain Python: variables and structs become columns.
 
 A struct with a time is a topic of its own; its field is `name.field`, a column of a matrix `name.field[0]`, counted from 0.
-The clock of a level is its variable `t`, `time`, `Time` or `tout`, and its columns are what has as many samples: Simulink's
-"structure with time" as it stands. Objects (`timeseries`, `timetable`, `datetime`) only MATLAB can open; text, sparse matrices
-and functions are passed over.
+The clock of a level is its variable `t`, `time`, `Time` or `tout`, and its columns are the variables with as many samples, as in
+Simulink's "structure with time". Only MATLAB can open objects (`timeseries`, `timetable`, `datetime`); text, sparse matrices
+and functions are skipped.
 
-scipy's reader is not used: bytes that were changed on the way make its compiled code read where nothing is, which ends the
-whole process. Here every size is held against what the file has before anything is made of it, and a compressed variable is
-inflated no further than a limit. Reference: MAT-File Format, The MathWorks.
+scipy's reader is not used: damaged bytes make its compiled code read outside its memory, which ends the whole process. Here every
+size is checked against the size of the file before memory is allocated, and a compressed variable is inflated no further than a
+limit. Reference: MAT-File Format, The MathWorks.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ MAX_INFLATED_BYTES = 2**29
 """Bytes that a file may hold when it is inflated."""
 
 MAX_ELEMENTS = 2 * 10**6
-"""Parts of a file, each of which costs time and memory however small it is; an array has four."""
+"""Largest number of parts of a file, as each takes time and memory even if small; an array has four."""
 
 
 class Opaque:
@@ -55,7 +55,7 @@ def read_variables(path: Path) -> dict[str, Any]:
 
     Returns:
         Real numbers as arrays of their dimensions; a struct as a mapping, structs and cells in rows as lists; `Opaque` for an
-        object; None for all else.
+        object; None for other types.
 
     Raises:
         InputError: It is of another version, breaks off, is damaged or too large.
@@ -95,7 +95,7 @@ def _bytes(path: Path) -> tuple[bytes, str]:
 
 
 def _variables(path: Path, whole_file: bytes, order: str) -> Iterator[memoryview]:
-    """Yield what is inside each variable, inflated; as views, since cells inside cells would copy it at every level."""
+    """Yield the content of each variable, inflated; as views, since nested cells would be copied at every level."""
     at, left, data = _HEADER, MAX_INFLATED_BYTES, memoryview(whole_file)
     while at + 8 <= len(data):
         kind, size = struct.unpack_from(f"{order}II", data, at)
@@ -210,13 +210,13 @@ def read_mat(path: Path, wanted: Mapping[str, str] | None = None) -> Table:
         wanted: The columns that a map asks for, by our names; None without a map.
 
     Raises:
-        InputError: It is of another version, damaged or too large, or it is not clear what in it is the log.
+        InputError: It is of another version, damaged or too large, or it is ambiguous which part is the log.
     """
     levels = list(_levels(read_variables(path), path.name))
     topics = [topic for topic in (_topic(*level) for level in levels) if topic is not None]
     fields = dict(levels).get("", {})
     timed = bool(topics)
-    if not timed:  # without any clock, a map may give a rate, or name one
+    if not timed:  # without any clock, a map may give a rate or name a clock
         counts = Counter(n for array in fields.values() for n in array.shape if n > 1)
         topics = [_clockless(fields, counts.most_common(1)[0][0])] if counts else []
     table = build_topic_table(path, compute_sha256(path), topics, wanted)
@@ -226,7 +226,7 @@ def read_mat(path: Path, wanted: Mapping[str, str] | None = None) -> Table:
 
 
 def _levels(variables: Mapping[str, Any], name: str) -> Iterator[tuple[str, dict[str, np.ndarray]]]:
-    """Yield every level that has numbers of its own, with all numbers below it: the file's, then each struct's."""
+    """Yield every level with numbers of its own, with all numbers below it: the file's level, then each struct's."""
     found = list(_list_levels(variables, "", 0))
     opaque = sorted(key for key, value in variables.items() if key and value is Opaque)
     if not found or not any(fields for _, fields in found):
@@ -294,7 +294,7 @@ def _clockless(fields: dict[str, np.ndarray], n: int) -> Topic:
 
 
 def _columns(fields: Mapping[str, np.ndarray], n: int) -> dict[str, np.ndarray]:
-    """Return what has `n` samples, a matrix as its columns."""
+    """Return the variables with `n` samples, a matrix as its columns."""
     found: dict[str, np.ndarray] = {}
     for key, array in fields.items():
         wide = array.ndim == 2 and n in array.shape and array.size // n <= LONGEST_LIST

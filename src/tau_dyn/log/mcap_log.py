@@ -1,8 +1,9 @@
 """MCAP files (extra `mcap`): JSON messages, and ROS 2 messages in CDR whose definition the file carries.
 
-Records are framed here and read by the `mcap` library, so that each is checked against what the file still holds before
-it is taken into memory, and a compressed chunk against the size that it declares. Chunks are checked by their checksums. A file
-without an end (the recorder lost power) is read to where it breaks off. Reference: the MCAP specification, mcap.dev/spec.
+This module finds the frames of the records, and the `mcap` library reads them. So each record is checked against the remaining
+size of the file before it is loaded, and a compressed chunk against the size that it declares. Chunks are checked by their
+checksums. A file without an end (the recorder lost power) is read up to the point where it breaks off. Reference: the MCAP
+specification, mcap.dev/spec.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ MAX_DEFINITION_BYTES = 2**20
 _MAGIC = b"\x89MCAP0\r\n"
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0F
 _BROKEN = -1
-"""Stands for the end of a file that has none, with a sentence."""
+"""Code for the missing end of a file, with a sentence."""
 _FRAME = struct.Struct("<BQ")
 
 
@@ -41,7 +42,7 @@ def read_mcap(path: Path, wanted: Mapping[str, str] | None = None, files: Sequen
         files: The files, in order; by default `path` alone.
 
     Raises:
-        InputError: The extra is missing, the file is damaged, or it is not clear what in it is the log.
+        InputError: The extra is missing, the file is damaged, or it is ambiguous which part is the log.
     """
     _library()
     paths = tuple(files) or (path,)
@@ -63,7 +64,7 @@ def _library() -> None:
 
 
 def _messages(path: Path) -> Iterator[Recorded | str]:
-    """Yield a file's messages in its order, and a sentence where it breaks off."""
+    """Yield a file's messages in their order, and a sentence if the file breaks off."""
     schemas: dict[int, Any] = {}
     channels: dict[int, Any] = {}
     decoders = _Decoders(path.name)
@@ -130,7 +131,7 @@ def _read(opcode: int, data: bytes) -> Any:
 
 
 def _inside(plain: bytes) -> Iterator[tuple[int, Any]]:
-    """Yield a chunk's schemas, channels and messages one by one; as a list they take many times their bytes."""
+    """Yield a chunk's schemas, channels and messages one by one; a list would take many times their bytes."""
     at = 0
     while at < len(plain):
         opcode, length = _FRAME.unpack_from(plain, at)
@@ -143,7 +144,7 @@ def _inside(plain: bytes) -> Iterator[tuple[int, Any]]:
 
 
 def _opened(name: str, data: bytes, inflated: DecompressionLimit) -> bytes:
-    """Return what is in a chunk; it is decompressed no further than the size it declares."""
+    """Return the content of a chunk; it is decompressed no further than the size it declares."""
     from mcap.data_stream import ReadDataStream
     from mcap.records import Chunk
 
@@ -184,10 +185,10 @@ def _decompressed(name: str, kind: str, data: bytes, size: int) -> bytes:
 
 
 class _Whole(bytes):
-    """A message that refuses to be read beyond its end: of lists of bytes, the decoder would take what is not there."""
+    """A message that refuses to be read beyond its end; for lists of bytes, the decoder does not check the length."""
 
     def __getitem__(self, key: Any) -> Any:
-        """Return a byte, or bytes that are all there."""
+        """Return a byte, or a slice that is complete."""
         if isinstance(key, slice) and (key.stop or 0) > len(self):
             raise ValueError("it is shorter than its definition")
         return super().__getitem__(key)
@@ -202,7 +203,7 @@ class _Decoders:
         self.name, self._ros2 = name, DecoderFactory()
 
     def of(self, channel: Any, schema: Any, data: bytes) -> Callable[[], Any]:
-        """Return what decodes a message when it is asked to."""
+        """Return a function that decodes a message when called."""
         return lambda: self._decoded(channel, schema, data)
 
     def _decoded(self, channel: Any, schema: Any, data: bytes) -> Any:
@@ -215,7 +216,7 @@ class _Decoders:
             decoder = self._ros2.decoder_for(encoding, schema)
             if decoder is not None:
                 return decoder(_Whole(data))
-        except Exception as fault:  # definitions and messages come from the file: whatever they break is its fault
+        except Exception as fault:  # definitions and messages come from the file: all errors are its fault
             raise InputError(
                 "damaged_file",
                 f"{self.name}: a message of {channel.topic} cannot be decoded ({describe_fault(fault)}).",

@@ -1,10 +1,10 @@
-"""A recorded file, ours or foreign, becomes a `Log` in SI units, or measured points; everything is converted here, once.
+"""Read a recorded file, ours or foreign, as a `Log` in SI units or as measured points; all units are converted here, once.
 
-Text and Parquet are read by `table.py`; files with topics of their own by readers that are imported when they are used, as
-they need extras. Our own files name their columns as the contract says. A foreign file comes with a `ColumnMap`; its columns
-that the map does not mention keep their names. Every cell that the library will use is checked, and a fault is one sentence
-with file, line and column. Measured points are actuated positions and where a device saw a point, without a clock: `q_J` for
-each actuated joint, `x_tool y_tool z_tool` [m], `qx_tool qy_tool qz_tool qw_tool`.
+Text and Parquet are read by `table.py`; files with topics by readers that are imported when they are used, as they need extras.
+Our own files name their columns as in the contract. A foreign file comes with a `ColumnMap`; its columns that the map does not
+mention keep their names. Every cell that the library will use is checked, and a fault is one sentence with file, line and column.
+Measured points are actuated positions with the position of a point measured by a device, without a clock: `q_J` for each actuated
+joint, `x_tool y_tool z_tool` [m], `qx_tool qy_tool qz_tool qw_tool`.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ SUFFIXES = (".mcap", ".bag", ".db3", ".mat")
 
 
 def has_topics(path: Path) -> bool:
-    """Tell whether a path is an MCAP file, a ROS bag or a MATLAB file, by its name or, for a folder, by what is in it."""
+    """Return whether a path is an MCAP file, a ROS bag or a MATLAB file, by its name or, for a folder, by its content."""
     return is_bag_folder(path) or (path.suffix.lower() in SUFFIXES and not path.is_dir())
 
 
@@ -59,7 +59,7 @@ def read_any(path: str | Path, wanted: Mapping[str, str] | None = None) -> Table
 
     Args:
         path: CSV, Parquet, MCAP, a ROS bag (its folder, too) or a MATLAB file.
-        wanted: The file's columns that a map asks for, by our names; None without a map. Text and Parquet give all they have.
+        wanted: The file's columns that a map asks for, by our names; None without a map. Text and Parquet give all columns.
 
     Raises:
         InputError: It cannot be read.
@@ -114,7 +114,7 @@ class MeasuredPoints:
         q: Their positions (N, k) [m or rad].
         points: Measured positions (N, 3) [m]; None without all three columns.
         quaternions: Measured orientations (N, 4), x y z w; None without all four columns.
-        warnings: What was left out while reading.
+        warnings: Sentences about lines that were left out while reading.
     """
 
     name: str
@@ -172,7 +172,7 @@ def read_measured(path: str | Path, actuated: Sequence[str]) -> MeasuredPoints:
 
 
 MIN_SAMPLES = 10
-"""A log with fewer samples answers nothing and is taken for a mistake."""
+"""A log with fewer samples is useless and is taken for a mistake."""
 
 
 def read_log(path: str | Path, columns: ColumnMap | str | Path | None = None) -> Log:
@@ -184,7 +184,7 @@ def read_log(path: str | Path, columns: ColumnMap | str | Path | None = None) ->
         columns: Map for a foreign log, or the path of one.
 
     Returns:
-        The log in SI units. An incomplete last line is left out and stands in its `warnings`.
+        The log in SI units. An incomplete last line is left out and reported in its `warnings`.
 
     Raises:
         InputError: The file cannot be used; the message names file, line and column.
@@ -212,7 +212,7 @@ def read_log(path: str | Path, columns: ColumnMap | str | Path | None = None) ->
 
 
 def refuse_few(name: str, n_samples: int) -> None:
-    """Refuse a log with fewer samples than any answer needs."""
+    """Refuse a log with fewer samples than any result needs."""
     if n_samples < MIN_SAMPLES:
         raise InputError(
             "too_little_data",
@@ -252,7 +252,7 @@ def _find_other_clocks(
 ) -> dict[str | None, Clock]:
     """Return the clocks of files that are not sampled together with the main one, by the files' keys.
 
-    A file has a clock where the map gives one, or where a column is called as the main clock is. Equal clocks are one.
+    A file has a clock if the map gives one, or if a column has the name of the main clock. Equal clocks count as one.
     """
     if len(tables) == 1:
         return {}
@@ -283,7 +283,7 @@ def _read_clock(table: Table, source: Source | None) -> Clock:
 
     Args:
         table: The table.
-        source: Its clock in a map; None of a log under our own names.
+        source: Its clock in a map; None for a log under our own names.
 
     Raises:
         InputError: There is no clock, or a cell is neither a number nor a time.
@@ -322,7 +322,7 @@ def _read_clock(table: Table, source: Source | None) -> Clock:
 
 
 EPISODE = "episode_index"
-"""Column of a LeRobot data set that says which recording a row belongs to."""
+"""Column of a LeRobot data set with the number of the recording that a row belongs to."""
 
 
 def _take_episode(table: Table, episode: int) -> Table:
@@ -356,7 +356,7 @@ def _undo_couplings(channels: dict[str, NDArray[np.float64]], map_: ColumnMap) -
 
 
 def _scale_columns(tables: Mapping[str | None, Table], map_: ColumnMap) -> dict[str, NDArray[np.float64]]:
-    """Return the map's columns but the clock in our units, each (N,) of its own table, with NaN for missing numbers."""
+    """Return the map's columns except the clock in our units, each (N,) of its own table, with NaN for missing numbers."""
     return {
         ours: source.scale * _theirs(tables, map_, ours, gaps=True) + source.offset
         for ours, source in map_.sources.items()
@@ -390,7 +390,7 @@ def _same_file(one: Path, other: Path) -> bool:
 
 
 def _same_length(tables: dict[str | None, Table]) -> tuple[dict[str | None, Table], tuple[str, ...]]:
-    """Cut files to the shortest where only an incomplete last line made the difference, else refuse."""
+    """Cut files to the shortest if they differ only by an incomplete last line, else refuse."""
     shortest = min(tables.values(), key=lambda table: table.n_rows)
     for key, table in tables.items():
         extra = table.n_rows - shortest.n_rows
@@ -456,7 +456,7 @@ class _Part(NamedTuple):
 
 
 MIN_COMPLETE_SHARE = 0.5
-"""Share of rows with all numbers from which the others are gaps; below, columns are filled by clocks of their own."""
+"""Share of complete rows above which the others are gaps; below it, columns have clocks of their own."""
 
 
 def _build(
@@ -526,7 +526,7 @@ def _leave_out(
 
 
 def _group_by_rows(part: _Part, epoch: int, wanted: frozenset[str]) -> list[Clocked]:
-    """Return the used channels of a part, those that are filled in the same rows together."""
+    """Return the used channels of a part, grouped by the rows in which they are filled."""
     t = part.clock.t + (part.clock.epoch - epoch) / 1e9
     groups: dict[bytes, list[str]] = {}
     for column in (c for c in part.channels if c in wanted):
@@ -555,10 +555,10 @@ def _check_episodes(table: Table) -> None:
 
 
 MAX_SIGNALS = 200
-"""Names that a column may hold where signals come in rows; a robot's log has fewer."""
+"""Largest number of names in a column if signals come in rows; a robot's log has fewer."""
 
 MIN_ROWS_A_SIGNAL = 5
-"""Rows of each name from which they are a signal's samples; a column of comments repeats less."""
+"""Least rows of each name for samples of a signal; a column of comments repeats less."""
 
 
 def refuse_signals_in_rows(table: Table) -> None:

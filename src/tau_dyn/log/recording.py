@@ -1,9 +1,9 @@
-"""A recording on disk: its files' row groups one after another, its channels converted and checked as they are read.
+"""A recording on disk: its files' row groups in sequence; channels are converted and checked as they are read.
 
 Rows are numbered through all files. A window decodes only the row groups and columns it needs, checks every cell as `read.py`
 does, and comes as a `Log`. `open_log` reads a small file at once. Parquet files, one or many, may together exceed memory; text
 larger than `MAX_IN_MEMORY_BYTES`, and Parquet in row groups larger than `GROUP_ROWS`, is first copied (`copies.py`), as
-neither lets anybody begin in the middle.
+neither can be read from the middle.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from tau_dyn.log.read import has_topics, read_log, refuse_few
 from tau_dyn.log.table import PARQUET_SUFFIXES, Table, read_parquet_column
 
 State = tuple[int, int]
-"""What changes when a file is written: its size and the time of its last change [ns]."""
+"""State of a file: its size and the time of its last change [ns]."""
 
 
 class RowGroup(NamedTuple):
-    """One row group: its file and state, number, first row in the recording and in the file (from 0), and how many."""
+    """One row group: its file and state, number, first row in the recording and in the file (from 0), and number of rows."""
 
     path: str
     state: State
@@ -52,15 +52,15 @@ class Recording:
     """A log on disk.
 
     Attributes:
-        name: For messages.
+        name: Name for messages.
         paths: Its files, in order of time.
         parts: Their row groups.
         columns: The files' columns.
-        map_: How foreign columns are read; None for our own names.
-        warnings: What was doubtful on the way in.
+        map_: Column map of foreign columns; None for our own names.
+        warnings: Doubts found while reading, one sentence each.
         states: The files' states when they were opened.
-        digest: Hash of what was read, where that is known already.
-        copied: Keeps a temporary copy alive.
+        digest: Hash of the bytes read, if known already.
+        copied: Temporary copy, kept while the recording is used.
     """
 
     name: str
@@ -74,7 +74,7 @@ class Recording:
     copied: TemporaryFolder | None = field(default=None, repr=False)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Let it travel between processes; the copy stays alive where it was made."""
+        """Allow pickling; the copy is kept by the process that made it."""
         return {**self.__dict__, "copied": None}
 
     @property
@@ -84,10 +84,10 @@ class Recording:
 
     @property
     def sha256(self) -> str:
-        """Hash of the files' bytes; of several, the hash of their hashes.
+        """Hash of the file's bytes; for several files, the hash of their hashes.
 
         Raises:
-            InputError: A file was written to since it was opened, so nobody knows what was read.
+            InputError: A file was written to since it was opened, so its hash may not belong to the data read.
         """
         if self.digest:
             return self.digest
@@ -103,18 +103,18 @@ class Recording:
 
     @cached_property
     def channels(self) -> tuple[str, ...]:
-        """Names of its channels: those that a map makes, and the files' columns of which it makes none."""
+        """Names of its channels: those that a map defines, and the files' columns that it does not use."""
         if self.map_ is None:
             return self.columns
         taken = {source.column for source in self.map_.sources.values()}
         return tuple(dict.fromkeys((*self.map_.sources, *(c for c in self.columns if c not in taken))))
 
     def has(self, name: str) -> bool:
-        """Tell whether there is a channel of this name."""
+        """Return whether there is a channel of this name."""
         return name in self.channels
 
     def clock(self) -> Iterator[tuple[RowGroup, np.ndarray]]:
-        """Yield the times [s] of each part in order, checked to run forward.
+        """Yield the times [s] of each part in order, checked to increase.
 
         Raises:
             InputError: A time is no number, or not later than the one before.
@@ -138,7 +138,7 @@ class Recording:
         return Log(found.pop("t"), found, self.name, "", self.warnings)
 
     def whole(self) -> Log:
-        """Return everything as a log in memory, foreign columns and all."""
+        """Return everything as a log in memory, with foreign columns."""
         log = self.window(0, self.n_samples, [n for n in self.channels if n != "t"])
         return replace(log, sha256=self.sha256)
 
@@ -187,7 +187,7 @@ def get_file_state(path: Path) -> State:
 
 @lru_cache(maxsize=16)
 def open_parquet_file(path: str, state: State) -> pq.ParquetFile:
-    """Open a file; one that was written to since is another one."""
+    """Open a file; a file that was written to since counts as another one."""
     try:
         file = pq.ParquetFile(path)
         file.schema_arrow.names  # noqa: B018  a name that is no UTF-8 is found here
@@ -202,7 +202,7 @@ def open_parquet_file(path: str, state: State) -> pq.ParquetFile:
 def _cells(part: RowGroup, column: str, checked: bool, scale: float = 1.0) -> np.ndarray:
     """Return one column of a row group as numbers (rows,), which may be missing unless it is checked (once scaled).
 
-    The last few are kept, as windows overlap.
+    The last few results are cached, as windows overlap.
     """
     try:
         cells = open_parquet_file(part.path, part.state).read_row_group(part.group, columns=[column]).column(column)
@@ -231,7 +231,7 @@ def _refuse_backwards(part: RowGroup, t: np.ndarray, row: int, before: float, wh
 
 @lru_cache(maxsize=4096)
 def _sha256(path: str, state: State) -> str:
-    """Return a file's hash; one that was written to since is another one."""
+    """Return a file's hash; a file that was written to since counts as another one."""
     return compute_sha256(path)
 
 
@@ -246,7 +246,7 @@ GROUP_ROWS = 2**20
 
 
 def open_log(path: str | Path, columns: ColumnMap | str | Path | None = None) -> Log | Recording:
-    """Open a recording: in memory where it is small, else to be read in windows.
+    """Open a recording: in memory if it is small, else to be read in windows.
 
     Args:
         path: CSV, Parquet, or a folder of Parquet files that follow each other in time, in the order of their names.
@@ -274,7 +274,7 @@ def open_log(path: str | Path, columns: ColumnMap | str | Path | None = None) ->
 
 
 def _needs_the_whole(map_: ColumnMap) -> bool:
-    """Tell whether a map asks for what windows do not give: an episode, columns by number, parts of lists."""
+    """Return whether a map needs features that windows lack: an episode, columns by number, parts of lists."""
     parts = any(source.column.endswith("]") for source in map_.sources.values())
     return map_.episode is not None or map_.is_numbered or parts
 
@@ -289,7 +289,7 @@ def _files_in(folder: Path) -> tuple[Path, ...]:
 
 
 def _opened(name: str, paths: tuple[Path, ...], map_: ColumnMap | None) -> Recording:
-    """Read what the files say of themselves."""
+    """Open the files and read their schema and row groups."""
     parts, first, columns, states = [], 0, (), tuple(get_file_state(path) for path in paths)
     for path, state in zip(paths, states, strict=True):
         file = open_parquet_file(str(path), state)
@@ -338,7 +338,7 @@ def _copied_groups(name: str, paths: tuple[Path, ...], states: tuple[State, ...]
 
 @runtime_checkable
 class DataTable(Protocol):
-    """What is used of a table of pandas."""
+    """Interface of a pandas table that this module uses."""
 
     columns: Any
     index: Any
@@ -363,7 +363,7 @@ def as_log(source: LogSource) -> Log: ...
 @overload
 def as_log(source: LogSource | Recording) -> Log | Recording: ...
 def as_log(source: LogSource | Recording) -> Log | Recording:
-    """Return a log as it is, a path's file read, or a table's columns as a log.
+    """Return a log unchanged, or read a path's file or a table's columns as a log.
 
     Args:
         source: A log or a recording on disk; a path, read by `read_log`; or a table with `t` [s], as a column or as the name of

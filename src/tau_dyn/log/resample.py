@@ -1,24 +1,26 @@
 """An even clock for filters that need one, a log cut at gaps and at rests, and a signal of one clock on another clock.
 
-Uneven samples are interpolated; over a gap nothing is, unless the samples around tell what is missing. Stamps that are even but
+Uneven samples are interpolated. Gaps are not, unless the samples around determine the missing ones. Stamps that are even but
 rounded to few digits are recognised and replaced by the even clock without touching the channels.
 Truly uneven stamps (more than 1 % of a step off, or one or two
-samples lost) are resampled with one cubic spline a channel: its error falls with dt^4, where a straight line would cut the
+samples lost) are resampled with one cubic spline for each channel: its error falls with dt^4, where a straight line would cut the
 peaks of an acceleration by up to `a dt^2 / 8` and halve the noise between samples but not at them. All channels go through the
 same linear operation, so no fit sees `q` and `tau` treated differently. Three or more lost samples in a row are a gap, and
 `split_at_gaps` cuts the log there.
 
-Predicting every second sample from those between tells the spline's error: what that misses is about sixteen times the error
-at the full rate. A signal whose every second sample cannot be told from its neighbours changes too fast for its own clock; no
-interpolation gives what lies between. Nothing is extrapolated. Reference: de Boor 2001 (error of the cubic spline).
+Predicting every second sample from those between shows the spline's error: the prediction error is about sixteen times the error
+at the full rate. A signal whose every second sample cannot be predicted from its neighbours changes too fast for its own clock;
+no interpolation recovers the values between its samples. Signals are not extrapolated. Reference: de Boor 2001 (error of the
+cubic spline).
 
-**Short gaps** are filled by `fill_short_gaps` before a log is cut. A filter runs over a gap only if something stands there, and
-a log that is cut at every gap loses a filter's memory on both sides: of a log with a gap every half second nothing is left. What
-would stand in a gap is known where the motion is slow against it. The log itself tells how well: where it has no gap, rows are
-left out as the gap does, and the cubic spline through their neighbours is held against them. A single row that is left out is
-missed by little more than its noise. A gap is filled if rows in the midst of one as long are missed by at most three times as
-much in all positions, by the median. Without noise the miss grows with the fourth power of the gap, and the gap stays. Forces
-follow the positions: what the spline misses of them is noise of a few rows on the left side of a fit.
+**Short gaps** are filled by `fill_short_gaps` before a log is cut. A filter runs over a gap only if it is filled, and a log that
+is cut at every gap loses a filter's memory on both sides: a log with a gap every half second would lose all its samples. The
+missing rows can be interpolated if the motion is slow compared with the gap. The log itself shows the accuracy: in parts
+without a gap, rows are left out as in the gap, and the cubic spline through their neighbours is compared with them. The error
+at a single row that is left out is little more than its noise. A gap is filled if the median error in the middle of an equally
+long trial gap is at most three times that, in all positions. Without noise the error grows with the fourth power of the gap,
+and the gap is kept. Forces are filled where positions are: the spline's error of a force is noise of a few rows on the left
+side of a fit.
 """
 
 from __future__ import annotations
@@ -54,7 +56,7 @@ MIN_SEGMENT_SAMPLES = 10
 
 
 class Clock(NamedTuple):
-    """What a log's clock looks like."""
+    """Properties of a log's clock."""
 
     dt: float
     """Mean of the usual steps [s], those within half of their median."""
@@ -65,11 +67,11 @@ class Clock(NamedTuple):
     gaps: tuple[int, ...]
     """Samples after which a gap follows."""
     rounded: bool
-    """True where the stamps are an even clock written with few digits."""
+    """True if the stamps are an even clock written with few digits."""
 
     @property
     def even(self) -> bool:
-        """True where filters may take the samples as they are."""
+        """True if filters may use the samples without resampling."""
         return not self.gaps and self.n_missing == 0 and self.jitter <= MAX_RELATIVE_JITTER
 
 
@@ -79,7 +81,7 @@ def examine_clock(log: Log) -> Clock:
         return Clock(log.duration / (log.n_samples - 1), 0.0, 0, (), rounded=True)
     steps = np.diff(log.t)
     usual = steps[np.abs(steps / log.dt - 1) < 0.5]
-    dt = float(np.mean(usual)) if usual.size else log.dt  # two step lengths by turns: the median is neither
+    dt = float(np.mean(usual)) if usual.size else log.dt  # two step lengths in alternation: the median is neither
     ratio = steps / dt
     missing = np.maximum(np.round(ratio) - 1, 0)
     usual = np.abs(ratio[missing == 0] - 1)
@@ -88,7 +90,7 @@ def examine_clock(log: Log) -> Clock:
 
 
 def split_at_gaps(log: Log) -> list[Log]:
-    """Cut a log at its gaps; each part says so in its warnings, and parts with fewer than 10 samples are left out."""
+    """Cut a log at its gaps; each part has a warning about it, and parts with fewer than 10 samples are left out."""
     clock = examine_clock(log)
     if not clock.gaps:
         return [log]
@@ -99,13 +101,13 @@ def split_at_gaps(log: Log) -> list[Log]:
 def resample_segments(log: Log) -> list[Log]:
     """Return a log's parts between gaps, each on an even clock.
 
-    What is a gap is decided by the whole log's step: a part's own may be a little shorter.
+    The whole log's step decides which steps are gaps, as a part's own step may be a little shorter.
     """
     return [_resample(part, examine_clock(part)) for part in split_at_gaps(log)]
 
 
 def count_short_segments(log: Log) -> tuple[int, float]:
-    """Return how many parts between gaps `split_at_gaps` leaves out, and how long they are together [s]."""
+    """Return the number of parts between gaps that `split_at_gaps` leaves out, and their total length [s]."""
     clock = examine_clock(log)
     sizes = [b - a for a, b in _spans(log, clock) if b - a < MIN_SEGMENT_SAMPLES] if clock.gaps else []
     return len(sizes), sum(sizes) * clock.dt
@@ -118,7 +120,7 @@ def _spans(log: Log, clock: Clock) -> list[tuple[int, int]]:
 
 
 def ensure_even(log: Log) -> Log:
-    """Return the log on an even clock, untouched where it has one already.
+    """Return the log on an even clock, unchanged if it has one already.
 
     Args:
         log: A log without gaps.
@@ -157,7 +159,7 @@ def describe_gaps(log: Log, clock: Clock) -> str:
 
 
 _STEADY = 1e-4
-"""Share of a step by which steps vary, below which only missing samples make a clock uneven."""
+"""Relative variation of steps below which only missing samples make a clock uneven."""
 
 
 def _uneven_sentence(log: Log, clock: Clock) -> str:
@@ -174,13 +176,13 @@ def interpolate(t: NDArray[np.float64], values: NDArray[np.float64], grid: NDArr
         try:
             with np.errstate(all="ignore"):
                 return CubicSpline(t, values)(grid)
-        except ValueError:  # slopes beyond a float, of numbers near 1e308 or of steps near nothing
+        except ValueError:  # slopes beyond a float, from numbers near 1e308 or steps near zero
             pass
     return np.interp(grid, t, values)  # a foreign channel with holes keeps them
 
 
 def is_rounded(t: NDArray[np.float64]) -> bool:
-    """Tell whether uneven stamps are an even clock rounded to a decimal place coarser than 1 % of its step."""
+    """Return whether uneven stamps are an even clock rounded to a decimal place coarser than 1 % of its step."""
     dt = (t[-1] - t[0]) / (len(t) - 1)
     decimals = next((d for d in range(10) if np.allclose(np.round(t, d), t, rtol=0.0, atol=1e-10)), None)
     if decimals is None or 10.0**-decimals <= MAX_RELATIVE_JITTER * dt:
@@ -190,14 +192,14 @@ def is_rounded(t: NDArray[np.float64]) -> bool:
     return bool(uneven and np.max(np.abs(t - line)) <= 0.75 * 10.0**-decimals)
 
 
-_SIGMA = 6.0  # standard deviations of the noise; none of 1e8 samples exceeds them
+_SIGMA = 6.0  # standard deviations of the noise; not one of 1e8 samples exceeds them
 _LOOK_S = 0.1  # [s] over which travel is measured
 
 
 def split_by_motion(log: Log, *, rest_s: float = 0.5, least_s: float = 1.0) -> list[Log]:
     """Return a log's motions: the stretches between rests, each with half of the rests around it.
 
-    The robot rests where, for `rest_s` or longer, no joint travels more in 0.1 s than six times its encoder's noise.
+    The robot rests if, for `rest_s` or longer, no joint travels more in 0.1 s than six times its encoder's noise.
 
     Args:
         log: Positions `q_J` of at least one joint, evenly sampled.
@@ -205,7 +207,7 @@ def split_by_motion(log: Log, *, rest_s: float = 0.5, least_s: float = 1.0) -> l
         least_s: Shortest motion worth keeping [s]; shorter ones are left out.
 
     Returns:
-        Parts in time order; the whole log where it never rests, none where it never moves.
+        Parts in time order; the whole log if it never rests, an empty list if it never moves.
     """
     moving = _moving(log)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], moving, [False]]).astype(int)))
@@ -220,7 +222,7 @@ def split_by_motion(log: Log, *, rest_s: float = 0.5, least_s: float = 1.0) -> l
 
 
 def _moving(log: Log) -> NDArray[np.bool_]:
-    """Tell at which samples (N,) some joint moves, judged over windows long enough to see through its noise."""
+    """Return the samples (N,) at which some joint moves, over windows long enough compared with its noise."""
     q = log.joint("q", log.joints("q"))
     width = min(max(2, round(_LOOK_S / log.dt)), log.n_samples - 1)
     travel = np.abs(q[width:] - q[:-width])
@@ -230,7 +232,7 @@ def _moving(log: Log) -> NDArray[np.bool_]:
 
 
 MAX_INTERPOLATION_ERROR = 0.5
-"""Share of a signal's spread that its neighbours may miss of it at twice the step."""
+"""Largest error of predicting a signal from its neighbours at twice the step, as a share of its spread."""
 
 MIN_CLOCK_SAMPLES = 10  # fewer give no rate
 
@@ -245,7 +247,7 @@ def resample_to_clock(where: str, t: np.ndarray, x: np.ndarray, wanted: np.ndarr
         wanted: Times (M,) [s] within its first and last.
 
     Returns:
-        The samples (M,), and a sentence about how they were made; empty where every time wanted is one of its own.
+        The samples (M,), and a sentence about the method; empty if every wanted time is one of its own.
 
     Raises:
         InputError: It has gaps there, or changes too fast for its own clock.
@@ -283,7 +285,7 @@ def resample_to_clock(where: str, t: np.ndarray, x: np.ndarray, wanted: np.ndarr
 
 
 def estimate_interpolation_error(t: np.ndarray, x: np.ndarray) -> float:
-    """Return what every second sample differs from a spline through the others, as a share of the signal's spread."""
+    """Return the deviation of every second sample from a spline through the others, as a share of the signal's spread."""
     spread = float(np.std(x))
     if spread <= 1e-12 * max(1.0, float(np.max(np.abs(x)))):
         return 0.0
@@ -292,12 +294,12 @@ def estimate_interpolation_error(t: np.ndarray, x: np.ndarray) -> float:
 
 
 MAX_MISS = 3.0
-"""Largest median miss of a filled row over that of a single row that is left out."""
+"""Largest median error of a filled row over that of a single row that is left out."""
 
 MAX_FILLED_SHARE = 0.02
-"""Share of the rows that may be filled in: they are no measurements."""
+"""Largest share of the rows that may be filled, as these are no measurements."""
 
-_N_TRIALS = 200  # rows that are left out, one at a time; their median miss is known to a tenth
+_N_TRIALS = 200  # rows that are left out, one at a time; their median error is known to a tenth
 _AROUND = 8
 """Rows on each side of a gap through which the spline of a trial runs."""
 
@@ -307,7 +309,7 @@ def fill_short_gaps(log: Log, joints: Sequence[str]) -> tuple[Log, int, float]:
 
     Args:
         log: A log with measured times.
-        joints: Joints whose positions are held against the spline.
+        joints: Joints whose positions are compared with the spline.
     """
     clock = examine_clock(log)
     steps = np.diff(log.t)
@@ -331,7 +333,7 @@ def fill_short_gaps(log: Log, joints: Sequence[str]) -> tuple[Log, int, float]:
 
 
 def _find_longest(t: NDArray[np.float64], x: NDArray[np.float64], sizes: Sequence[int]) -> int:
-    """Return the longest of gap sizes [steps] that the rows around tell well enough; 0 where none is."""
+    """Return the longest of gap sizes [steps] that the rows around predict well enough; 0 without any."""
     if len(t) < _N_TRIALS or not np.isfinite(x).all():
         return 0
     single, longest = _measure_miss(t, x, 2), 0
@@ -343,7 +345,7 @@ def _find_longest(t: NDArray[np.float64], x: NDArray[np.float64], sizes: Sequenc
 
 
 def _measure_miss(t: NDArray[np.float64], x: NDArray[np.float64], size: int) -> NDArray[np.float64]:
-    """Return the median size (n,) by which splines miss rows (N, n) in the midst of those that a gap of `size` steps lacks."""
+    """Return the median error (n,) of splines at rows (N, n) in the middle of trial gaps of `size` steps."""
     row = np.concatenate([np.arange(1 - _AROUND, 1), np.arange(size, size + _AROUND)])
     middle = size // 2
     starts = np.linspace(_AROUND, len(t) - size - _AROUND, _N_TRIALS).astype(int)

@@ -1,11 +1,11 @@
-"""ROS 1 bags and ROS 2 bags (extra `rosbag`), through the pure Python library `rosbags`, and what a bag must not hold.
+"""ROS 1 bags and ROS 2 bags (extra `rosbag`), through the pure Python library `rosbags`, with checks of hostile bags.
 
 A `.bag` file is ROS 1; a folder with `metadata.yaml`, or one `.db3` file, is ROS 2. A folder that holds MCAP files goes to
 `mcap_log.py`. No ROS has to be installed: the message definitions are in the bag, or are those of a recent ROS 2.
 
-The library believes databases, definitions and sizes. A database may hold views and columns that compute without end; a
-message definition may ask for code of a hundred million lines, or for lists of entries that take no bytes, of which any
-message has as many as it likes. Such bags are refused before it sees them.
+The library trusts databases, definitions and sizes. A database may hold views and columns that compute without end. A
+message definition may require code of a hundred million lines, or lists of entries that take no bytes, so that a message can
+declare any number of them. Such bags are refused before the library reads them.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ MAX_UNROLLED_ENTRIES = 10_000
 MAX_TOPICS = 10_000  # bounds the time on a hostile file
 
 _FILLER = "structure_needs_at_least_one_member"
-"""What the library puts into an empty message; in ROS 1 it takes no bytes."""
+"""Field that the library puts into an empty message; in ROS 1 it takes no bytes."""
 
 _COMPUTES = re.compile(r"\b(as|virtual)\b", re.IGNORECASE)
 _ASIDE = re.compile(r'"(?:\\.|[^"\\])*"|/\*.*?\*/|//[^\n]*', re.DOTALL)
@@ -43,7 +43,7 @@ def check_database(path: Path) -> None:
     """Refuse a ROS 2 database that is more than plain tables.
 
     Raises:
-        ValueError: It computes what it holds, its definitions are too long, or settings of a topic are no plain YAML.
+        ValueError: It has computed tables or columns, its definitions are too long, or settings of a topic are no plain YAML.
         sqlite3.Error: It is no database.
     """
     if set("?%#") & set(str(path)):
@@ -80,7 +80,7 @@ def check_profiles(profiles: Any) -> None:
 
 
 def check_definitions(definitions: Mapping[str, Any]) -> None:
-    """Refuse message definitions, as the library parsed them, that any message could make endless.
+    """Refuse parsed message definitions by which a message could be endless.
 
     Args:
         definitions: Constants and fields by the type's name.
@@ -93,9 +93,9 @@ def check_definitions(definitions: Mapping[str, Any]) -> None:
     known: dict[str, bool] = {}
 
     def empty(name: str) -> bool:
-        """Tell whether a message of this type may take no bytes."""
+        """Return whether a message of this type may take no bytes."""
         if name not in known:
-            known[name] = False  # one that holds itself never ends, and says so when it is read
+            known[name] = False  # one that contains itself never ends, and raises an error when it is read
             fields = definitions[name][1] if name in definitions else (("unknown", (0, ())),)
             known[name] = all(label == _FILLER or nothing(field) for label, field in fields)
         return known[name]
@@ -122,7 +122,7 @@ def check_definitions(definitions: Mapping[str, Any]) -> None:
 
 
 def limit_decompression(decompress: Callable[[bytes], bytes], inflated: DecompressionLimit) -> Callable[[bytes], bytes]:
-    """Return what opens a chunk of a ROS 1 bag no further than bounds; opening one again counts again."""
+    """Return a function that opens a chunk of a ROS 1 bag up to a limit; opening a chunk again counts again."""
 
     def opened(data: bytes) -> bytes:
         if data[:3] == b"BZh":
@@ -165,7 +165,7 @@ METADATA = "metadata.yaml"
 
 
 def is_bag_folder(path: Path) -> bool:
-    """Tell whether a folder is a ROS 2 bag."""
+    """Return whether a folder is a ROS 2 bag."""
     return path.is_dir() and (path / METADATA).is_file()
 
 
@@ -177,7 +177,7 @@ def read_bag(path: Path, wanted: Mapping[str, str] | None = None) -> Table:
         wanted: The columns that a map asks for, by our names; None without a map.
 
     Raises:
-        InputError: The extra is missing, the bag is damaged, or it is not clear what in it is the log.
+        InputError: The extra is missing, the bag is damaged, or it is ambiguous which part is the log.
     """
     files, in_mcap = _files(path)
     if in_mcap:
@@ -206,13 +206,13 @@ def read_bag(path: Path, wanted: Mapping[str, str] | None = None) -> Table:
             check_definitions(reader.typestore.fielddefs)
             _bound(path, reader)
             kinds = _kinds(reader)
-        except Exception as fault:  # a bag that is damaged breaks its reader in many ways
+        except Exception as fault:  # a damaged bag makes its reader fail in many ways
             raise _damaged(path, fault) from None
         return build_message_table(path, files, _messages(path, reader), kinds, wanted)
 
 
 def _files(path: Path) -> tuple[tuple[Path, ...], bool]:
-    """Return the files of a bag's folder, as its metadata lists them, and whether they are MCAP; a file alone is its own."""
+    """Return the files of a bag's folder from its metadata, and whether they are MCAP; for a file, the file itself."""
     if not path.is_dir():
         return (path,), False
     content = read_yaml(path / METADATA)
@@ -279,7 +279,7 @@ def _messages(path: Path, reader: Any) -> Iterator[Recorded]:
             return
         except InputError:
             raise
-        except Exception as fault:  # as above: whatever a damaged bag breaks
+        except Exception as fault:  # as above: any failure of the reader
             raise _damaged(path, fault) from None
         yield Recorded(connection.topic, connection.msgtype, log, len(data), _decoder(path, reader, connection, data))
 
@@ -298,7 +298,7 @@ def _decoder(path: Path, reader: Any, connection: Any, data: bytes) -> Callable[
 
 
 def _bound(path: Path, reader: Any) -> None:
-    """Let the chunks of a ROS 1 bag not grow beyond bounds when they are decompressed."""
+    """Limit the decompressed size of a ROS 1 bag's chunks."""
     inflated = DecompressionLimit(path)
     for one in reader.readers:
         chunks = getattr(one, "chunks", {})

@@ -1,13 +1,13 @@
-"""What a check of a log says, and each channel judged by itself: constant, frozen, held, clipped, or jumping.
+"""Findings of a check of a log, and tests of each channel by itself: constant, frozen, held, clipped, or jumping.
 
-A `CheckFinding` is one sentence about one topic, with what would help. `fault` means that the log should not be used as it is,
-`warning` that an answer will be poorer, `ok` that a thing was looked at and is fine, or why it was not looked at.
+A `CheckFinding` is one sentence about one topic, with a remedy. `fault` means that the log should not be used as it is,
+`warning` that a result will be poorer, `ok` that a property was checked and is fine, or why it was not checked.
 
-Runs of exactly equal values tell a constant, a frozen, a held and a clipped channel apart: a live measurement hardly ever
-repeats itself to the last digit while its joint moves. A jump is a change that stands alone: ten times as far as nine of ten
-of the joint's changes and further than a fiftieth of its whole range, and neither the change before nor the one after goes a
-quarter as far the same way. An encoder that wraps, was set anew, or lost a reading does so; a joint that moves fast does so
-for several samples.
+Runs of exactly equal values distinguish constant, frozen, held and clipped channels: a live measurement hardly ever repeats
+itself to the last digit while its joint moves. A jump is a single large change: larger than ten times nine of ten of the
+joint's changes and than a fiftieth of its whole range, while the changes before and after are less than a quarter of it in the
+same direction. An encoder jumps if it wraps, is reset, or loses a reading; a joint that moves fast has several such changes in
+a row.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ Severity = Literal["ok", "warning", "fault"]
 
 @dataclass(frozen=True)
 class CheckFinding:
-    """One thing that was looked at."""
+    """The result of one check."""
 
     severity: Severity
     topic: str
     sentence: str
     remedy: str = ""
-    """What would help; empty where nothing has to."""
+    """Remedy; empty if no remedy is needed."""
     code: str = ""
-    """Stable code, see docs/reference/message_codes.md; empty where there is none."""
+    """Stable code, see docs/reference/message_codes.md; empty for findings without a code."""
 
 
 def choose_finding(topic: str, fine: str, *doubts: tuple[bool, str, str]) -> CheckFinding:
-    """Return the first doubt that holds as a warning, else what is fine; a doubt is (whether it holds, sentence, remedy)."""
+    """Return the first doubt that holds as a warning, else the sentence `fine`; a doubt is (condition, sentence, remedy)."""
     for holds, sentence, remedy in doubts:
         if holds:
             return CheckFinding("warning", topic, sentence, remedy)
@@ -50,7 +50,7 @@ def choose_finding(topic: str, fine: str, *doubts: tuple[bool, str, str]) -> Che
 
 
 def build_fault(warning: str) -> CheckFinding:
-    """Return a coded warning as a fault of the log, or as a warning where it was repaired; its sentence holds the remedy."""
+    """Return a coded warning as a fault of the log, or as a warning if it was repaired; its sentence contains the remedy."""
     mended = isinstance(warning, RepairedWarning)
     still = "held" if mended else "frozen"
     topic = {"updated_less_often": "held", "held_channel": still}.get(get_code(warning), "integrity")
@@ -63,7 +63,7 @@ class LogCheck(Shown):
 
     Attributes:
         name: The log's name.
-        findings: Everything that was looked at, in a fixed order of topics.
+        findings: All results, in a fixed order of topics.
         numbers: The figures behind the sentences, plain numbers and lists for JSON; per-joint figures are mappings by
             joint.
     """
@@ -74,7 +74,7 @@ class LogCheck(Shown):
 
     @property
     def fit_for_use(self) -> bool:
-        """True where no finding is a fault."""
+        """True if no finding is a fault."""
         return not any(finding.severity == "fault" for finding in self.findings)
 
     @property
@@ -84,9 +84,9 @@ class LogCheck(Shown):
         return tuple(CodedWarning(f.code, f.sentence) if f.code else f.sentence for f in doubtful)
 
     def with_faults(self, warnings: Iterable[str]) -> LogCheck:
-        """Return the check with what a robot file says against the log: coded warnings, as further faults.
+        """Return the check with coded warnings from the comparison with a robot file, as further faults.
 
-        A column for which they give a line of a map loses the line that its range alone suggested.
+        If a warning gives the line of a map for a column, the line that the column's range alone suggested is dropped.
         """
         sentence = f"{self.name}: wiring and the time of the forces were held against the masses of the robot file."
         judged = CheckFinding("ok", "synchronisation", sentence)
@@ -105,7 +105,7 @@ class LogCheck(Shown):
 
 
 _FURTHER = 10.0
-"""How much further than nine of ten steps a jump is."""
+"""Least size of a jump over the 90 % quantile of steps."""
 
 _OF_RANGE = 0.02
 """Least size of a jump, as a share of the joint's range."""
@@ -115,10 +115,10 @@ COARSEST_COUNT = {True: 0.02, False: 1e-3, None: 1e-3}
 a millimetre of a draw wire."""
 
 _ALONE = 0.25
-"""A change with a neighbour of this share of its size, the same way, is motion: a quick move seen by few samples."""
+"""A change with a neighbour of this share of its size in the same direction is motion: a quick move in few samples."""
 
 _TURN = 0.1
-"""How near a jump comes to whole turns, as a share of one, where the encoder wraps."""
+"""Largest distance of a jump from whole turns, as a share of one, if the encoder wraps."""
 
 
 def find_jumps(q: NDArray[np.float64], fastest: float = 0.0, count: float = 0.0) -> NDArray[np.intp]:
@@ -126,7 +126,7 @@ def find_jumps(q: NDArray[np.float64], fastest: float = 0.0, count: float = 0.0)
 
     Args:
         q: Positions [m or rad], evenly sampled or nearly so.
-        fastest: The joint's own limit [per sample]; slower steps are motion.
+        fastest: The joint's speed limit [per sample]; slower steps are motion.
         count: Largest count that its encoder may have [m or rad]; a joint at rest may step by one.
     """
     changes = np.flatnonzero(np.diff(q))  # a reading held over several samples is one
@@ -143,7 +143,7 @@ def find_jumps(q: NDArray[np.float64], fastest: float = 0.0, count: float = 0.0)
 
 
 def _are_counts(step: NDArray[np.float64], found: NDArray[np.intp], coarsest: float) -> bool:
-    """Return whether the largest changes are the counts of an encoder at rest: without them the joint stays within one."""
+    """Return whether the largest changes are counts of an encoder at rest: without them the joint moves less than one count."""
     count, least = float(np.abs(step[found]).max()), float(np.abs(step[found]).min())
     rest = step.copy()
     rest[found] = 0.0
@@ -158,14 +158,14 @@ def check_jumps(
     fastest: float = 0.0,
     left_out: NDArray[np.bool_] | None = None,
 ) -> CheckFinding | None:
-    """Return what is wrong with a joint's positions if they jump.
+    """Return a finding about a joint's positions if they jump, else None.
 
     Args:
         log: The log.
         joint: The joint.
         revolute: Whether it turns, None if unknown.
-        fastest: Its speed limit [m/s or rad/s], where one is known.
-        left_out: Samples (N,) that nobody uses; jumps to or from them are let pass.
+        fastest: Its speed limit [m/s or rad/s], if known.
+        left_out: Samples (N,) that are not used; jumps to or from them are ignored.
     """
     q = log.channels[f"q_{joint}"]
     at = find_jumps(q, fastest * log.dt if np.isfinite(fastest) else 0.0, COARSEST_COUNT[revolute])
@@ -188,7 +188,7 @@ def check_jumps(
 
 
 MIN_CLIPPED_SAMPLES = 5
-"""So many equal samples in a row at the largest or smallest value are a plateau."""
+"""Least number of equal consecutive samples at the largest or smallest value that are a plateau."""
 
 MIN_FROZEN_S = 0.1
 """A channel that does not change for so long [s] while its joint moves is frozen."""
@@ -213,7 +213,7 @@ def check_signals(log: Log, moving: dict[str, NDArray[np.bool_]]) -> tuple[list[
 
     Args:
         log: The log.
-        moving: For each joint, whether it moves (N,), as positions or, where they freeze, references say.
+        moving: For each joint, whether it moves (N,), from its positions or, while they are frozen, from its reference.
 
     Returns:
         Findings, and the number `clipped` (share of samples on a plateau at an extreme, by channel).
@@ -237,7 +237,7 @@ def check_signals(log: Log, moving: dict[str, NDArray[np.bool_]]) -> tuple[list[
 def compute_clipped_share(runs: ConstantRuns, moves: NDArray[np.bool_]) -> float:
     """Return the share of samples on plateaus at a channel's largest or smallest value while its joint moves.
 
-    A plateau is 5 samples or more, and the extreme value stands five times as often as the value next to it, so that
+    A plateau is 5 samples or more, and the extreme value occurs five times as often as the value next to it, so that
     neither coarse resolution nor the round top of a wave is taken for clipping.
     """
     levels, level = np.unique(runs.values, return_inverse=True)
@@ -261,7 +261,7 @@ def _constant(log: Log, column: str, runs: ConstantRuns) -> CheckFinding | None:
 
 
 def _frozen(log: Log, column: str, runs: ConstantRuns, moves: NDArray[np.bool_]) -> CheckFinding | None:
-    """Find a long stretch without a change during motion, away from the extremes, which would be clipping."""
+    """Find a long stretch without a change during motion, except at the extremes, which is clipping."""
     extreme = (runs.values == runs.values.max()) | (runs.values == runs.values.min())
     needed = max(MIN_FROZEN_S * log.rate_hz, 5 * float(np.median(runs.lengths)))
     inside = np.flatnonzero((runs.lengths >= needed) & ~(extreme & column.startswith("tau_")))
@@ -277,10 +277,10 @@ def _frozen(log: Log, column: str, runs: ConstantRuns, moves: NDArray[np.bool_])
 
 
 MIN_LONGER = 10.0
-"""How much longer a frozen stretch is than the sixth longest stretch without a change; an encoder dies a few times at most."""
+"""Least length of a frozen stretch over the sixth longest stretch without a change; an encoder fails a few times at most."""
 
 _SIXTH = 6
-"""Rank of the stretch that stands for the usual ones: up to five stretches of one log may be frozen."""
+"""Rank of the stretch that represents the usual ones: up to five stretches of one log may be frozen."""
 
 STOP_RATIO = 3.0
 """Change of speed at the ends of a frozen stretch, over the largest one anywhere else within the same time."""
@@ -293,7 +293,7 @@ SLOW_SHARE = 0.1
 fades at rest."""
 
 MIN_SLOW = 30
-"""Samples at low speed that tell how noisy a channel is there."""
+"""Samples at low speed from which the noise of a channel there is measured."""
 
 MIN_COUNTS = 0.7
 """Noise in counts from which a channel flickers at rest: twenty equal values in a row are then no chance, 0.5^20 = 1e-6."""
@@ -320,9 +320,9 @@ class FrozenStretch(NamedTuple):
 def find_frozen_positions(log: Log, joint: str) -> list[FrozenStretch]:
     """Return the stretches in which an encoder keeps one value although its joint moves, or although it flickers otherwise.
 
-    Two things tell a dead encoder from a joint at rest: the speed changes at an end of the stretch by more than anywhere else, or
-    the channel flickers wherever the joint is slow and the joint's force goes on. An encoder coarser than its noise does not
-    flicker at rest.
+    Two signs distinguish a dead encoder from a joint at rest: the speed changes at an end of the stretch by more than anywhere
+    else, or the channel flickers wherever the joint is slow and the joint's force goes on. An encoder coarser than its noise
+    does not flicker at rest.
     """
     x = log.channels[f"q_{joint}"]
     long, live = list_long_runs(x, log.rate_hz)
@@ -335,9 +335,9 @@ def find_frozen_positions(log: Log, joint: str) -> list[FrozenStretch]:
 
 
 def list_long_runs(x: NDArray[np.float64], rate_hz: float) -> tuple[list[tuple[int, int]], NDArray[np.bool_]]:
-    """Return first sample and end of the stretches of one value that are unusually long, and which samples are elsewhere (N,).
+    """Return first sample and end of unusually long stretches of one value, and a mask of the other samples (N,).
 
-    Unusual is a stretch of 0.1 s or more, ten times as long as the sixth longest of the channel (N,).
+    A stretch is unusual if it takes 0.1 s or more and is ten times as long as the sixth longest of the channel (N,).
     """
     runs, live = find_constant_runs(x), np.ones(len(x), bool)
     if len(runs.starts) < 10 * _SIXTH:
@@ -352,7 +352,7 @@ def list_long_runs(x: NDArray[np.float64], rate_hz: float) -> tuple[list[tuple[i
 def find_frozen_force(log: Log, joint: str, moves: NDArray[np.bool_]) -> list[FrozenStretch]:
     """Return the stretches in which a force keeps one value while its joint moves.
 
-    Zeros are a drive that is off, and extremes are its limit.
+    Stretches of zeros (a drive that is off) and of extremes (its limit) do not count.
     """
     column = f"tau_{joint}"
     runs = find_constant_runs(log.channels[column])
@@ -365,7 +365,7 @@ def find_frozen_force(log: Log, joint: str, moves: NDArray[np.bool_]) -> list[Fr
 
 
 def _find_sudden_stop(x: NDArray[np.float64], live: NDArray[np.bool_], start: int, stop: int, dt: float) -> str:
-    """Return how fast a position (N,) moved right before or after a stretch of one value, where nothing stops so quickly."""
+    """Return how fast a position (N,) moved right before or after a stretch of one value, if no other stop is as sudden."""
     width = max(4, round(STOP_S / dt))
     if len(x) < 4 * width:
         return ""
@@ -395,7 +395,7 @@ def _find_flicker(log: Log, joint: str, live: NDArray[np.bool_], start: int, sto
         return ""
     power = float(np.mean(rough[slow] ** 2))
     neighbours = float(np.mean((rough[1:] * rough[:-1])[pairs])) / max(power, 1e-300)
-    noise = np.sqrt(power / 70)  # fourth differences take the motion away and multiply white power by 70
+    noise = np.sqrt(power / 70)  # fourth differences remove the motion and multiply white power by 70
     fades = power < 0.25 * float(np.median(rough[alive] ** 2)) / 0.455  # the median of chi-square with one degree
     if fades or neighbours > MAX_NEIGHBOUR or noise < MIN_COUNTS * float(estimate_quantisation_step(x)):
         return ""

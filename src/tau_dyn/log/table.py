@@ -1,9 +1,9 @@
-"""A file of columns, with the place of every cell, before anything is known about their meaning.
+"""A file of columns with the place of every cell, without the meaning of the columns.
 
-`read_table` turns CSV or Parquet into a `Table`; cells become numbers only when a column is asked for, so that a fault is
-named with its line and column, while columns that nobody uses may hold anything. Lines are counted as an editor counts them:
-comments and header included, from 1. The splitting of text lives in `delimited.py`; what the columns mean, in `read.py`. A few
-bytes can say that they are gigabytes, which recordings never do: how far a file may grow is limited here.
+`read_table` turns CSV or Parquet into a `Table`; cells become numbers only when a column is requested, so that a fault is
+named with its line and column, while unused columns may hold anything. Lines are counted as in an editor: comments and header
+included, from 1. `delimited.py` splits text; `read.py` interprets the columns. A few bytes can expand to gigabytes, which
+recordings never do: this module limits how far a file may grow.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from tau_dyn.log.column_names import describe_bad_cell, describe_missing_column,
 from tau_dyn.log.delimited import MAX_COLUMNS, parse_delimited
 
 MAX_INFLATION_RATIO = 200
-"""How many times its size a file may become, beside `FREE_BYTES` bytes; recorders reach about ten times."""
+"""Largest expansion of a file, in multiples of its size, in addition to `FREE_BYTES` bytes; recorders reach about ten."""
 
 FREE_BYTES = 2**26  # bytes; small files may inflate as they like
 
 
 class DecompressionLimit:
-    """Counts what comes out of a file's chunks."""
+    """Limit on the bytes that a file's chunks expand to."""
 
     def __init__(self, path: Path) -> None:
         """Count for this file."""
@@ -53,7 +53,7 @@ class DecompressionLimit:
 
 
 MAX_MAGNITUDE = 1e15
-"""No quantity of a robot in SI units is larger; what is comes from a broken logger."""
+"""No quantity of a robot in SI units is larger; larger values come from a broken logger."""
 
 MAX_LIST_LENGTH = 64
 """Numbers in a cell's list; longer ones are pictures or clouds, not signals."""
@@ -65,17 +65,17 @@ PARQUET_SUFFIXES = (".parquet", ".pq")
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Columns of a file as they stand there.
+    """Columns of a file, without conversion.
 
     Attributes:
         name: File name, for messages.
-        path: Where it was read from.
+        path: The file it was read from.
         sha256: Hash of the file's bytes.
         cells: Columns by name, each (N,), as numbers or as text.
-        places: Where each row stands, for messages: line numbers (N,) of a text file, row numbers from 1 of a Parquet
+        places: Place of each row, for messages: line numbers (N,) of a text file, row numbers from 1 of a Parquet
             file.
         place: The word for it, `line` or `row`.
-        warnings: What was left out while reading.
+        warnings: Sentences about lines that were left out while reading.
         units: Units by column, of a text file with a row of units below its header.
     """
 
@@ -102,7 +102,7 @@ class Table:
 
         Args:
             column: Its name.
-            scale: What brings it to SI units, where its size is judged; the column itself is not scaled.
+            scale: Factor to SI units for the test of its size; the column itself is not scaled.
             gaps: Whether cells may be empty or `nan`; they come as NaN.
 
         Raises:
@@ -130,7 +130,7 @@ class Table:
         return values
 
     def numbers_or_none(self, column: str) -> NDArray[np.float64] | None:
-        """Return a column (N,) that nobody relies on, empty cells as NaN, true as 1, or None where it holds text."""
+        """Return an optional column (N,), empty cells as NaN, true as 1, or None if it holds text."""
         cells = self.cells[column]
         text = cells.astype(str)
         if cells.dtype.kind == "b" or cells.size and set(text) <= {"True", "False"}:
@@ -150,7 +150,7 @@ class Table:
 
 
 def read_table(path: str | Path, *, most: int | None = None, foreign: bool = False) -> Table:
-    """Read a CSV or Parquet file as a table of columns, without asking what they mean.
+    """Read a CSV or Parquet file as a table of columns, without interpreting them.
 
     A comma, a semicolon or a tab separates the cells; the header line decides which. `#` lines before the header are
     comments. An incomplete last line is left out with a warning. Lists of numbers become a column each: `state[0]`.
@@ -236,7 +236,7 @@ def _parquet_columns(name: str, data: bytes) -> dict[str, NDArray[Any]]:
 
 
 def _is_list(kind: pa.DataType) -> bool:
-    """Tell whether cells are lists of numbers."""
+    """Return whether cells are lists of numbers."""
     lists = pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind)
     return lists and (pa.types.is_floating(kind.value_type) or pa.types.is_integer(kind.value_type))
 
@@ -251,7 +251,7 @@ def _flatten_lists(cells: pa.ChunkedArray) -> NDArray[Any]:
 
 
 def _read_lists(cells: NDArray[Any]) -> NDArray[Any]:
-    """Return a text's cells as numbers (N, k) where all of them are lists `[1, 2]` of one length, else as they are."""
+    """Return a text's cells as numbers (N, k) if all of them are lists `[1, 2]` of one length, else unchanged."""
     if cells.dtype.kind in "fiub" or not all(isinstance(cell, str) and _LIST.fullmatch(cell.strip()) for cell in cells):
         return cells
     rows = [cell.strip(" []").replace(",", " ").split() for cell in cells]
@@ -274,10 +274,10 @@ def _spread_lists(name: str, cells: dict[str, NDArray[Any]]) -> dict[str, NDArra
 
 
 def read_parquet_column(name: str, column: str, cells: pa.ChunkedArray) -> NDArray[Any]:
-    """Return a Parquet file's column (N,) as numbers or text; bytes and what nests, such as lists, as their type's name.
+    """Return a Parquet file's column (N,) as numbers or text; bytes and nested types, such as lists, as their type's name.
 
     Raises:
-        InputError: Its values cannot be had, such as a date far from ours, or text that is no UTF-8.
+        InputError: Its values cannot be read, such as a date out of range, or text that is not UTF-8.
     """
     if pa.types.is_nested(cells.type) or "binary" in str(cells.type):
         return np.full(len(cells), str(cells.type), dtype=object)

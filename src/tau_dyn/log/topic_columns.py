@@ -1,9 +1,9 @@
 """Messages of one topic become columns: a joint state's by joint, every other message's numbers by the path to them.
 
-A joint state is any message with a list `name` of texts and lists `position`, `velocity`, `effort` beside it
-(sensor_msgs/JointState of ROS 1 and 2, or JSON of that shape). Its columns are `position.axis`, .. and stand for ours: `q_axis`,
-`v_axis`, `tau_axis`. Of other messages every number is a column: `pose.position.x`, `data[2]`; where its name is one of ours
-(`q_axis`), it is ours. Lists longer than `LONGEST_LIST` are pictures or clouds, not signals, and are passed over.
+A joint state is any message with a list `name` of texts and lists `position`, `velocity`, `effort`
+(sensor_msgs/JointState of ROS 1 and 2, or JSON of that shape). Its columns are `position.axis`, .. and become ours: `q_axis`,
+`v_axis`, `tau_axis`. In other messages every number is a column: `pose.position.x`, `data[2]`; if its name is one of ours
+(`q_axis`), it is ours. Lists longer than `LONGEST_LIST` are pictures or clouds, not signals, and are skipped.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.log.column_names import is_contract_name
 
 OURS = {"position": "q", "velocity": "v", "effort": "tau"}
-"""A joint state's lists, and the signals that they are here."""
+"""A joint state's lists, and our signals for them."""
 
 LONGEST_LIST, MOST_COLUMNS, DEEPEST = 64, 500, 8
 
 MAX_CELLS = 50_000_000
-"""Numbers taken from one file (0.4 GB); more belongs into Parquet, which is read in windows."""
+"""Largest count of numbers from one file (0.4 GB); more should be in Parquet, which is read in windows."""
 
 
 @dataclass(frozen=True, eq=False)
 class Topic:
-    """What a file holds under one name and one clock.
+    """The messages of a file under one name and one clock.
 
     Attributes:
-        name: Without its leading slash; empty for a file's own level, whose columns stand without prefix.
-        kind: The messages' type, for messages.
-        log: When each was recorded (N,): whole nanoseconds, or seconds as floats.
-        stamp: When each was measured, as far as its own header says (N,), in the same unit; None where there is none.
+        name: Name without its leading slash; empty for a file's own level, whose columns have no prefix.
+        kind: The messages' type, for error messages.
+        log: Time of recording of each message (N,): whole nanoseconds, or seconds as floats.
+        stamp: Time of measurement of each message, from its own header (N,), in the same unit; None without headers.
         columns: Numbers by field (N,); NaN where a message lacks it.
-        ours: Our column names, and the field that each one is.
+        ours: Our column names, and the field of each.
         truths: Fields that are true or false.
         joints: Whether it holds joint states.
     """
@@ -103,7 +103,7 @@ class TopicRecorder:
             self.budget.take(self._plain.add(log, stamp, message))
 
     def topics(self) -> Iterator[Topic]:
-        """Yield what was collected: one topic, or one for each set of joints that sends messages of its own."""
+        """Yield the collected messages: one topic, or one for each set of joints that sends messages of its own."""
         groups = sorted(self._joints.values(), key=lambda group: -len(group.log))
         for group in groups:
             yield group.topic(self.name, self.kind)
@@ -160,14 +160,14 @@ class _Joints:
                     "file_format", f"{name}: only some of its messages have {field}; all of them need it, or none."
                 )
             for joint, column in zip(self.names, np.frombuffer(values).reshape(n, k).T, strict=True):
-                if not np.isnan(column).all():  # a driver without torque sensing says NaN
+                if not np.isnan(column).all():  # a driver without torque sensing sends NaN
                     columns[f"{field}.{joint}"] = column.copy()
                     ours[f"{OURS[field]}_{joint}"] = f"{field}.{joint}"
         return Topic(name, kind, *_clocks(self.log, self.stamp), columns, ours, joints=True)
 
 
 class _Plain:
-    """Messages of any other shape; the first one tells which numbers there are."""
+    """Messages of any other shape; the first one determines which numbers there are."""
 
     def __init__(self, message: Any) -> None:
         found = list(islice(_numbers(message, (), 0), MOST_COLUMNS))
@@ -194,7 +194,7 @@ class _Plain:
 
 
 def _clocks(log: array, stamp: array) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return both clocks; a header that was never filled in says 0, and is none."""
+    """Return both clocks; a header that was never filled in has 0, and does not count."""
     stamps = np.frombuffer(stamp, dtype=np.int64).copy()
     return np.frombuffer(log, dtype=np.int64).copy(), stamps if stamps.size and np.all(stamps > 0) else None
 
@@ -204,7 +204,7 @@ def _nanoseconds(seconds: np.ndarray) -> np.ndarray | None:
 
 
 def _stamp(message: Any) -> int:
-    """Return a message's own time [ns], or 0 where it has none."""
+    """Return a message's own time [ns], or 0 without one."""
     header = _item(message, "header")
     stamp = _item(header, "stamp") if header is not None else None
     for at in (stamp, _item(message, "stamp"), _item(message, "timestamp")):
@@ -225,7 +225,7 @@ def _are_texts(names: Any) -> bool:
 
 
 def _parts(message: Any) -> list[tuple[str, Any]]:
-    """Return a message's fields by name; nothing for what is no message."""
+    """Return a message's fields by name; an empty list for other objects."""
     if isinstance(message, dict):
         return [(key, value) for key, value in message.items() if isinstance(key, str)]
     if is_dataclass(message) and not isinstance(message, type):
@@ -234,7 +234,7 @@ def _parts(message: Any) -> list[tuple[str, Any]]:
 
 
 def _numbers(value: Any, path: tuple[str | int, ...], depth: int) -> Iterator[tuple[tuple[str | int, ...], Any]]:
-    """Yield every number in a message with the path to it; headers and long lists are passed over."""
+    """Yield every number in a message with the path to it; headers and long lists are skipped."""
     if isinstance(value, Real | np.bool_):
         yield path, value
     elif isinstance(value, str | bytes | bytearray) or depth > DEEPEST:
@@ -250,7 +250,7 @@ def _numbers(value: Any, path: tuple[str | int, ...], depth: int) -> Iterator[tu
 
 
 def _follow(message: Any, path: tuple[str | int, ...]) -> float:
-    """Return the number at a path, NaN where this message has none there."""
+    """Return the number at a path, NaN if this message has no number there."""
     try:
         for step in path:
             message = message[step] if isinstance(step, int) or isinstance(message, dict) else getattr(message, step)

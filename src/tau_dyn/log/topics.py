@@ -1,12 +1,12 @@
 """Recorded messages of many topics, each with a clock of its own, become one table on the main topic's clock.
 
-Messages are read once. Without a map the joint states are decoded, or all where no type says so; with one, those that the map
-names as well. A file that breaks off, as a recording does whose computer lost power, is read up to there with a warning.
+Messages are read once. Without a map the joint states are decoded, or all messages if no type is a joint state; with a map, the
+topics that it names are decoded, too. A file that breaks off (the computer lost power) is read up to there with a warning.
 
 The main topic is the one that a column map takes positions from, else the only one with joint states, else the only one with
-columns of ours. Its own fields stand under our names, and all of them as `topic.field`; fields of other topics come in only
-where a map asks for them, interpolated (`resample.py`) with a warning. The clock is the header's stamp where every topic in
-use has one: it says when the message was measured, the log time when it arrived (a map may choose that: `t: TOPIC.log_time`).
+columns of ours. Its own fields get our names, and all of them are kept as `topic.field`; fields of other topics are added only if
+a map names them, interpolated (`resample.py`) with a warning. The clock is the header's stamp if every topic in use has one: the
+stamp is the time of measurement, the log time that of arrival (a map may choose the latter: `t: TOPIC.log_time`).
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ def build_topic_table(
     Args:
         path: The file.
         sha256: Hash of its bytes.
-        topics: What it holds.
+        topics: Its topics.
         wanted: The file's columns that a map asks for, by our names; None without a map.
-        warnings: What was doubtful while reading.
+        warnings: Doubts found while reading, one sentence each.
 
     Raises:
-        InputError: It is not clear which topic is meant, a column asked for does not exist, or clocks do not go together.
+        InputError: It is not clear which topic is meant, a column asked for does not exist, or clocks do not match.
     """
     wanted = dict(wanted or {})
     main = _main(path.name, topics, wanted)
@@ -83,7 +83,7 @@ def _main(name: str, topics: Sequence[Topic], wanted: Mapping[str, str]) -> Topi
         named = [t for t in positions if t.name.rpartition("/")[2] == "joint_states"]
         most = named or positions
         if len({t.name for t in most}) == 1:
-            return most[0]  # of one name, the joints with the most messages stand first
+            return most[0]  # of one name, the joints with the most messages come first
         if most:
             break
     raise InputError(
@@ -94,7 +94,7 @@ def _main(name: str, topics: Sequence[Topic], wanted: Mapping[str, str]) -> Topi
 
 
 def _others(name: str, topics: Sequence[Topic], main: Topic, wanted: Mapping[str, str]) -> list[tuple[Topic, str]]:
-    """Return the topics and columns that a map takes from elsewhere than the main topic."""
+    """Return the topics and columns that a map takes from other topics than the main one."""
     found = []
     for ours, column in wanted.items():
         if _field(main, column) is not None or column in main.ours or column in ("t", main.full(LOG_TIME)):
@@ -114,14 +114,14 @@ def _others(name: str, topics: Sequence[Topic], main: Topic, wanted: Mapping[str
 
 
 def _field(topic: Topic, column: str) -> str | None:
-    """Return the topic's field that a column of the file is, or None."""
+    """Return the topic's field of a column of the file, or None."""
     start = topic.full("")
     field = column.removeprefix(start)
     return field if column.startswith(start) and field in topic.columns else None
 
 
 def _own(main: Topic, chosen: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the main topic's columns, under our names and under its own, and when its messages were recorded."""
+    """Return the main topic's columns, under our names and under its own, and the times at which its messages were recorded."""
     cells = {ours: main.columns[field][chosen] for ours, field in main.ours.items() if ours != "t"}
     if main.name:
         cells |= {main.full(field): column[chosen] for field, column in main.columns.items()}
@@ -153,10 +153,10 @@ class _Clock:
         return (times - self._epoch) / 1e9 if times.dtype.kind == "i" else times
 
     def distinct(self, topic: Topic) -> np.ndarray:
-        """Return which messages (N,) are not the one before, sent again.
+        """Return which messages (N,) are no repetition of the one before.
 
         Raises:
-            InputError: The clock goes back, or stands still while the numbers change.
+            InputError: The clock goes back, or does not advance while the numbers change.
         """
         times = self._times(topic)
         keep = np.ones(times.size, bool)
@@ -190,7 +190,7 @@ class _Clock:
         return resample_to_clock(f"{self.name}: {column}", t, x, wanted)
 
     def said(self, main: Topic, repeated: int, cut: int) -> list[str]:
-        """Return sentences about the clock and what was left out."""
+        """Return sentences about the clock and the messages that were left out."""
         said: list[str] = []
         if main.log.dtype.kind == "f":
             pass
@@ -249,11 +249,11 @@ def _example(topics: Sequence[Topic]) -> str:
 
 
 MAX_MESSAGE_BYTES = 2**22
-"""A message larger than this [bytes] is a picture or a cloud, and is passed over."""
+"""A message larger than this [bytes] is a picture or a cloud, and is skipped."""
 
 
 class Recorded(NamedTuple):
-    """One message: its topic, when it was recorded [ns], its size [bytes], and what decodes it."""
+    """One message: its topic, time of recording [ns], size [bytes], and decoder."""
 
     topic: str
     kind: str
@@ -269,12 +269,12 @@ def build_message_table(
     kinds: Mapping[str, str],
     wanted: Mapping[str, str] | None,
 ) -> Table:
-    """Return recorded messages as a table; see `topics.table_of`.
+    """Return recorded messages as a table; see `build_topic_table`.
 
     Args:
-        path: What was asked for, for messages.
-        files: The files behind it, for the hash.
-        messages: All messages, which are decoded only where needed, and sentences about what is doubtful.
+        path: The file or folder, for error messages.
+        files: Its files, for the hash.
+        messages: All messages, which are decoded only if needed, and sentences about doubts.
         kinds: Type by topic, as far as it is known beforehand.
         wanted: The columns that a map asks for, by our names; None without a map.
     """
@@ -304,7 +304,7 @@ def build_message_table(
 
 
 def _needed(kinds: Mapping[str, str], wanted: Mapping[str, str] | None) -> Callable[[str, str], bool]:
-    """Return what tells whether a topic of some type is decoded."""
+    """Return the function that decides whether a topic of some type is decoded."""
     joints = any(_is_joint_state(kind) for kind in kinds.values())
     columns = tuple((wanted or {}).values())
 
@@ -334,6 +334,6 @@ def _in_order(topics: Sequence[Topic]) -> list[Topic]:
 
 
 def describe_fault(fault: BaseException) -> str:
-    """Return what a library says of a fault, in a line that fits into ours."""
+    """Return a library's error message as one line that fits into ours."""
     text = " ".join(str(fault).split()).rstrip(".")
     return text[:120] or type(fault).__name__

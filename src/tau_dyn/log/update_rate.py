@@ -1,31 +1,31 @@
 """Channels that are updated less often than they are logged: held, or interpolated linearly between updates.
 
-The second differences of such a channel stand out at its updates and are nearly zero between them, or as small as the noise
+The second differences of such a channel are large at its updates and nearly zero between them, or as small as the noise
 that was added later. Updates that follow a clock of their own are a comb: the spectrum of the size of the second differences has
 equal lines at all multiples of the update rate, which need not divide the rate of the log. The comb's period and phase follow
-from the highest line; the mean size at the updates over that between them tells how much a channel owes to interpolation. A
-vibration has one line, and a quantised channel of changing speed has none. A motion that repeats itself has a comb, too, but
-reverses from line to line: it is told by positions that are not smooth at such updates.
+from the highest line; the mean size at the updates over that between them measures how much of a channel is interpolated. A
+vibration has one line, and a quantised channel of changing speed has no line. A motion that repeats itself has a comb, too, but
+reverses from line to line: it is recognised by positions that are not smooth at such updates.
 
-A log whose slow channels share one clock is sampled at its updates, where nothing is interpolated.
+A log whose slow channels share one clock is sampled at its updates, so that no sample is interpolated.
 
 **The even clock of a device whose samples a logger stamped late**, seen in the motion itself.
 
-A controller measures at even ticks. A logger that asks it, or is asked by a network, stamps each sample when it arrives, part of
-a step too late, and misses some. A speed of 1 rad/s turns 0.2 ms of scatter into 0.2 mrad, more than most encoders have of
-noise, and twice differentiated it hides the acceleration. All joints show it at once, which encoder noise does not:
+A controller measures at even ticks. A logger that polls it, or receives from a network, stamps each sample when it arrives, part
+of a step too late, and misses some. A speed of 1 rad/s turns 0.2 ms of scatter into 0.2 mrad, more than most encoders have of
+noise, and after two derivatives it hides the acceleration. It acts on all joints at once, unlike encoder noise:
 
     q_j(i) = p_j(t_i) - v_j(i) d_i + noise
 
 `p_j` is a cubic through six samples on each side of i, fitted without i, `v_j` its slope, and `d_i` how late the stamp is. Least
-squares over the joints gives `d_i`. Subtracting it and fitting again a few times leaves stamps whose steps are right, up to
-slow scatter that a cubic follows. Where the device has an even clock, these steps are whole ticks. This is the test, and nothing
-but such a clock passes it: ripple of the motion, or samples that were truly taken at uneven times, give no whole numbers. A log
-whose stamps are good to a few hundredths of a tick keeps them.
+squares over the joints gives `d_i`. Subtracting it and fitting again a few times leaves stamps whose steps are right, except
+for slow scatter that a cubic follows. If the device has an even clock, these steps are whole ticks. This is the test, and only
+such a clock passes it: ripple of the motion, or samples that were truly taken at uneven times, give no whole numbers. A log
+whose stamps are accurate to a few hundredths of a tick keeps them.
 
-Ticks are then counted from row to row: by the motion where it decides, else by the stamp. A row that is no tick ahead was
-measured with the one before. The device's clock is the straight line of the stamps over the ticks. Reference: Savitzky & Golay
-1964 (local polynomials).
+Ticks are then counted from row to row: by the motion if it is accurate enough, else by the stamp. A row that is no tick ahead
+repeats the measurement of the one before. The device's clock is the straight line of the stamps over the ticks. Reference:
+Savitzky & Golay 1964 (local polynomials).
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ WEAK_LINE = 8.0
 """The same for further lines of a comb whose strongest line is known: five bins of noise reach it once in 600 places."""
 
 LINE_SHARE = 0.8
-"""Share of a comb's lines that must be there, and share of its updates that must differ from what is between them."""
+"""Share of a comb's lines that must be there, and share of its updates that must differ from the samples between them."""
 
 MAX_CHANGES = 1.2
 """Changes of a held channel for each of its updates; a pulse has two."""
@@ -67,13 +67,13 @@ MIN_HELD_SHARE = 0.35
 """Share of samples without a change from which a channel is held: half of them are in one that is updated every second sample."""
 
 HIGHEST_LINE = 0.35
-"""Lines above this share of the sampling rate fade where updates fall between samples."""
+"""Lines above this share of the sampling rate fade if updates fall between samples."""
 
 MIN_UPDATE_HZ = 5.0
 """Lowest update rate [Hz] whose samples show dynamics; see `identify/preparation.py`."""
 
 EXTRAPOLATED = 4.0
-"""Period [samples] from which a straight piece holds the two samples that tell its end between samples."""
+"""Period [samples] from which a straight piece holds the two samples needed to extrapolate its end between samples."""
 
 
 class UpdateRate(NamedTuple):
@@ -103,7 +103,7 @@ class UpdateRate(NamedTuple):
 def find_update_rates(log: Log, columns: Sequence[str]) -> list[UpdateRate]:
     """Return the clocks of the channels that are updated less often than logged, channels of the same clock together.
 
-    A motion that is not smooth from update to update is believed only where all channels follow the same clock.
+    With a motion that is not smooth from update to update, a clock counts only if all channels follow it.
 
     Args:
         log: A log as read.
@@ -131,8 +131,8 @@ def find_update_rates(log: Log, columns: Sequence[str]) -> list[UpdateRate]:
 def _resolves(q: NDArray[np.float64], rate: UpdateRate) -> bool:
     """Return whether the motion (N, n) is smooth from update to update; else the comb is the period of the motion itself.
 
-    A sine that is seen at six updates or more a period has second differences smaller than its first ones. Of a motion that
-    turns back at each update they are twice as large, and of noise 1.7 times.
+    A sine with six updates or more a period has second differences smaller than its first ones. They are twice as large for a
+    motion that turns back at each update, and 1.7 times for noise.
     """
     seen = q[np.round(rate.list_updates(len(q))).astype(int)]
     return float(np.sum(np.diff(seen, 2, axis=0) ** 2)) < float(np.sum(np.diff(seen, axis=0) ** 2))
@@ -145,7 +145,7 @@ def _is_same_clock(one: UpdateRate, other: UpdateRate, n: int) -> bool:
 
 
 def find_comb(x: NDArray[np.float64]) -> UpdateRate | None:
-    """Return the clock of the updates of one channel (N,); None where its differences have none."""
+    """Return the clock of the updates of one channel (N,); None if its differences have no comb."""
     first = np.abs(np.diff(x))
     held = bool(np.mean(first == 0) > MIN_HELD_SHARE)
     size = first if held else np.abs(np.diff(x, 2))
@@ -167,7 +167,7 @@ def find_comb(x: NDArray[np.float64]) -> UpdateRate | None:
     if not at.size or not between.size or at.mean() < MIN_CONTRAST * between.mean():
         return None
     if np.mean(at > between.mean()) < LINE_SHARE * (1 - np.mean(local < 0.01 * size.mean())):
-        return None  # the true period is a multiple, or the channel changes too seldom to tell
+        return None  # the true period is a multiple, or the channel changes too seldom to decide
     if held and np.count_nonzero(size) > MAX_CHANGES * n / period:
         return None  # pulses, which change twice
     return UpdateRate((), period, (phase + 1.0) % period, held)
@@ -204,7 +204,7 @@ def sample_at_updates(log: Log, rates: Sequence[UpdateRate]) -> Log | None:
     """Return a log at the updates of its slowest clock: channels as they were updated, others interpolated.
 
     Returns:
-        The log; None where another clock has no update there, or updates are too rare to show dynamics.
+        The log; None if another clock has no update there, or updates are too rare to show dynamics.
     """
     slow = max(rates, key=lambda rate: rate.period)
     at = slow.list_updates(log.n_samples)
@@ -250,16 +250,16 @@ MAX_TICK_DISTANCE = 0.25
 """Distance of a step from whole ticks up to which it counts as whole."""
 
 MIN_WHOLE_SHARE = 0.97
-"""Share of the informed steps that have to be whole; of steps of any length half are."""
+"""Share of the informed steps that have to be whole; for steps of random length it is a half."""
 
 MIN_SCATTER = 0.03
 """Median distance of the stamped steps from whole ticks below which the stamps are kept."""
 
 MIN_RATIO = 2.0
-"""How many times nearer to whole ticks the steps have to be by the motion than by the stamps."""
+"""Least ratio of the steps' distances from whole ticks, by the stamps over by the motion."""
 
 MAX_STRAY_TICKS = 5.0
-"""Distance of a stamp from the device's clock [ticks] that no sound count leaves."""
+"""Distance of a stamp from the device's clock [ticks] that a correct count never reaches."""
 
 TRACKING = 0.02
 """Share of a stamp's distance by which the count of ticks follows the stamps."""
@@ -269,7 +269,8 @@ class DeviceClock(NamedTuple):
     """Even times of the rows of a log.
 
     Attributes:
-        t: Times of the rows on the device's clock (N,) [s], whole ticks apart, and equal where a measurement was logged twice.
+        t: Times of the rows on the device's clock (N,) [s], with whole ticks between them, and equal if a measurement was
+            logged twice.
         tick_s: Length of a tick [s].
         scatter_s: Median distance of the stamps from these times [s].
     """
@@ -280,7 +281,7 @@ class DeviceClock(NamedTuple):
 
 
 def find_device_clock(t: NDArray[np.float64], q: NDArray[np.float64]) -> DeviceClock | None:
-    """Return the even clock that the motion shows behind scattered stamps; None where stamps are good or there is no such clock.
+    """Return the even clock that the motion shows behind scattered stamps; None if stamps are good or there is no such clock.
 
     Args:
         t: Stamps (N,) [s], increasing, each of another measurement.
@@ -315,7 +316,7 @@ def find_device_clock(t: NDArray[np.float64], q: NDArray[np.float64]) -> DeviceC
 def _correct_stamps(
     t: NDArray[np.float64], q: NDArray[np.float64], step: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return stamps (N,) from which each row's own delay is taken, and their standard errors (N,) [steps]."""
+    """Return stamps (N,) without each row's own delay, and their standard errors (N,) [steps]."""
     inner = slice(HALF_WIDTH, len(t) - HALF_WIDTH)
     floor = np.maximum(estimate_quantisation_step(q) / np.sqrt(12), 1e-12 * np.ptp(q, axis=0))
     stderr = np.full(len(t), np.inf)
@@ -336,9 +337,9 @@ def _correct_stamps(
 def _fit_neighbours(
     t: NDArray[np.float64], q: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return, of polynomials through the neighbours of each inner row, value and slope (M, n) and the spread of a miss (M,).
+    """Return value and slope (M, n) of polynomials through the neighbours of each inner row, and their error's spread (M,).
 
-    The spread is the standard deviation of what a row is missed by, in standard deviations of one sample's noise.
+    The spread is the standard deviation of a row minus its polynomial, in standard deviations of one sample's noise.
     """
     around = np.delete(np.arange(2 * HALF_WIDTH + 1), HALF_WIDTH)
     away = np.lib.stride_tricks.sliding_window_view(t, 2 * HALF_WIDTH + 1)[:, around]
@@ -359,7 +360,7 @@ def _measure_distance(ticks: NDArray[np.float64]) -> NDArray[np.float64]:
 def _count_ticks(
     t: NDArray[np.float64], steps: NDArray[np.float64], informed: NDArray[np.bool_], tick: float
 ) -> NDArray[np.intp]:
-    """Return the tick (N,) of each row: the motion counts where it decides, and the stamps where it does not."""
+    """Return the tick (N,) of each row: from the motion if it is accurate enough, else from the stamps."""
     whole = np.round(steps / tick)
     sure = informed & (np.abs(steps / tick - whole) < MAX_TICK_DISTANCE) & (whole >= 0)
     ticks, late = np.zeros(len(t), np.intp), 0.0
