@@ -54,9 +54,9 @@ class Exported:
         left_out: Parts of the model that the format cannot carry, one sentence each.
         carried: The model with the values that the file has.
         nominal: Inertial parameters that no data excited; they have their nominal values.
-        split: Inertial parameters of which only combinations are identified; their values are one of many splits of these
+        split: Inertial parameters that are identified only in combinations; their values are one of many splits of these
             combinations that give the same forces.
-        meshes: Files that the text names, by their paths from its folder.
+        meshes: Mesh files of the text, by their paths relative to its folder.
         callback: Text of a Python module that adds effects which the format lacks to the program; empty without such effects.
         by_callback: Effects in the callback, one sentence each.
         told: The model with the values of file and callback; None without a callback.
@@ -186,7 +186,7 @@ def list_omissions(model: Model, *, drives: bool) -> tuple[str, ...]:
 
 
 def list_means(model: Model, *, drives: bool) -> tuple[str, ...]:
-    """Return one sentence for each friction of which a file has only the mean of both directions."""
+    """Return one sentence for each friction parameter that a file holds only as the mean of both directions."""
     said = []
     for joint, part, both in _list_pairs(model, drives):
         a, b = (model.effect_parameters[n].value for n in both)

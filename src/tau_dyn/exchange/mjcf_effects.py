@@ -1,11 +1,11 @@
 """A model's effects in MuJoCo: elements of the file that are exactly their laws, else a callback in addition to the file.
 
     quadratic_drag      second coefficient of a joint's `damping`                       MuJoCo 3.7
-    cyclic_ripple, cogging  passive `dcmotor` with `cogging`, one a harmonic                4.0
+    cyclic_ripple, cogging  passive `dcmotor` with `cogging`, one per harmonic              4.0
     lugre, hysteresis   passive `dcmotor` with `lugre`, Dahl's law: no damping, static = Coulomb    4.0
     reducer_coupling    `tendon/fixed` of joints in one chain with armature, damping, frictionloss  3.3
-    gravity_direction   `option/gravity`, in which forces at rest are linear
-    delay               `sensor/actuatorfrc` that shows a drive's force so much later, from one step up      3.5
+    gravity_direction   `option/gravity`; forces at rest are linear in it
+    delay               `sensor/actuatorfrc` that shows a drive's force with a delay of at least one step    3.5
 
 Effects that the installed MuJoCo does not support go to the callback if the state determines them. Effects are lost if they
 depend on a history, on a load of a loop that is solved numerically or on a temperature, or if they distort only the recording
@@ -13,7 +13,7 @@ and not the motion. A delayed sensor shows the force at the joint: the reported 
 
 The callback is a Python module that MuJoCo calls in each step; it needs only NumPy and MuJoCo. The force of its effects is
 
-    f = middle + half s,   -1 <= s <= 1,   s = sign(v) where the joint moves
+    f = middle + half s,   -1 <= s <= 1,   s = sign(v) if the joint moves
 
 with `lower` and `upper` the effects' forces at sign -1 and +1 as in the simulator, `middle` their mean and `half` half their
 difference. `middle` is a passive force. `half` is added to the joint's `frictionloss`, so that MuJoCo's solver determines which

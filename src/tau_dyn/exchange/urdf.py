@@ -109,7 +109,7 @@ def _write_inertial(link: Element, body: BodyInertia) -> None:
 
 
 def _write_drives(root: Element, model: Model) -> None:
-    """Give each actuated joint, and no other, a transmission with its drive inertia."""
+    """Add a transmission with the drive inertia to each actuated joint, and remove the transmissions of other joints."""
     kept: dict[str, Element] = {}
     for element in root.findall("transmission"):
         joint = element.find("joint")

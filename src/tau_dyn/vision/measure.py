@@ -220,7 +220,7 @@ def _list_usual(seen: Album) -> list[str]:
 
 
 def _refuse_blurred(seen: Album) -> Album:
-    """Return the album without images of which a corner could not be fitted: the plate moved too far during the exposure."""
+    """Return the album without images with an unfitted corner: in these the plate moved too far during the exposure."""
 
     def judge(found: Detection) -> Detection:
         lost = 0 if found.stderr is None else int(np.isnan(found.stderr).sum())

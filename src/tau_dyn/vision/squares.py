@@ -181,7 +181,7 @@ def _measure_side(quads: np.ndarray) -> np.ndarray:
 
 
 def _grow(search: _Search, quad: np.ndarray, square: int) -> tuple[np.ndarray | None, int]:
-    """Return the corners (16, 2) of the plate of which a quadrilateral is one square, or None, and the number of sides found."""
+    """Return the corners (16, 2) of the plate with a quadrilateral as one square, or None, and the number of sides found."""
     c, r = _SQUARES[square]
     known = np.array([(c, r), (c + 1, r), (c + 1, r + 1), (c, r + 1)], float)
     grid = apply(estimate_homography(known, quad), _GRID)

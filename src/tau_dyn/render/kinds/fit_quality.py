@@ -22,7 +22,7 @@ from tau_dyn.render.kinds.parameter_rows import ParameterRow
 from tau_dyn.render.presentation import pad_used
 
 WELL, FAIR = 30.0, 200.0
-_BIASED_LEVEL = 0.01  # p-value of the number of estimates within 2 standard errors, for an unbiased fit
+_BIASED_LEVEL = 0.01  # p-value below which too few estimates are within 2 standard errors for an unbiased fit
 MIN_REPORTED_CORRELATION = 0.9  # between two parameters; smaller correlations are harmless
 LAGS = 20.0
 """Longest lag times the low-pass' cutoff; the shown range is limited to 0.3 s to 2 s."""
@@ -119,8 +119,8 @@ def _lagged_sum(x: np.ndarray, n_lags: int) -> np.ndarray:
 class Friction:
     """One joint's friction: measured force minus all other identified forces.
 
-    The fit's low-pass smears the law's step at zero speed in data and columns alike. A sample is therefore shown at the law's
-    own value plus its residual, which is the same difference without that smear.
+    The fit's low-pass smooths the law's step at zero speed in data and columns. Therefore a sample is shown at the value of the
+    law plus its residual, which is the same difference without smoothing.
 
     Attributes:
         joint: The joint.
