@@ -231,7 +231,7 @@ class Chart:
                 return Markup("").join(draw_levels(mark, self.x, self.y))
 
     def render(self, *marks: r.Mark, style: str = "chart", beside: str = "", wider: int = 0) -> Markup:
-        """Return the complete drawing: axes, marks, and `beside` in an additional width at the right."""
+        """Return the complete drawing: axes, marks, and further SVG at the right in the additional width `wider`."""
         title = f"{self.title}: {self.ylabel} over {self.xlabel}"
         size = self.width + wider, self.height
         return draw_svg(title, size, style, self._axes(), *map(self.draw, marks), beside)

@@ -2,7 +2,7 @@
 
     z points into the plate; the origin is the centre of the inner corners, where a pose is measured best.
 
-       o--> x     columns of inner corners, `square` apart
+       o--> x     columns of inner corners, with the spacing `square`
        |
        y          rows
 

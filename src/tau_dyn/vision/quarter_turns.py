@@ -111,7 +111,7 @@ def follow_turns(rotation: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _list_neighbours(q: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return pairs of neighbours (n - 1, 2), and the mask of pairs that are far apart."""
+    """Return pairs of neighbours (n - 1, 2), and the mask of pairs with a large distance."""
     if not q.shape[1]:
         return np.column_stack([np.arange(n - 1), np.arange(1, n)]), np.zeros(n - 1, bool)
     tree = minimum_spanning_tree(distance_matrix(q, q, p=1) + 1e-9).tocoo()
