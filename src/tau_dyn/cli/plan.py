@@ -116,7 +116,7 @@ def plan_motion(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """The fastest motion between two poses that the drives can follow, or one with less effort; free or along a path.
+    """The fastest motion between two positions that the drives can follow, or one with less effort; free or along a path.
 
     Args:
         energy_weight: Minimise T + W times the integral of squared forces [s per N^2 s] (0: the shortest time)
