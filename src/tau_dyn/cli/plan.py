@@ -238,7 +238,7 @@ class CameraSetup:
             )
 
     def read_positions(self, robot):
-        """Return actuated positions (na,), or `None` if they are not given.
+        """Return actuated positions (na,); an empty array if they are not given.
 
         Raises:
             InputError: Their number differs from the robot's.

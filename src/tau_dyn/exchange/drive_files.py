@@ -112,7 +112,7 @@ def build_drive_files(
 def _read_drives(
     model: Model, carried: Model, delays: Mapping[str, float], peaks: tuple[Stribeck, ...]
 ) -> tuple[dict[str, Drive], list[str]]:
-    """Return each joint's drive, and one sentence for each value that no target accepts."""
+    """Return each joint's drive, and sentences about values that are negative or unknown."""
     robot, found, odd = model.robot, {}, []
     for joint, effort, speed in zip(robot.actuated, robot.effort_limit, robot.velocity_limit, strict=True):
         law = read_joint_law(carried, joint)

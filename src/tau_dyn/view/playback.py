@@ -73,7 +73,7 @@ def _resampled(log: Log, robot: Robot, t: np.ndarray) -> np.ndarray:
 
 
 def compute_trail(robot: Robot, q: np.ndarray) -> np.ndarray:
-    """Return the tool's path (m, 3) [m] along positions (n, na); empty without a tool or if a position cannot be reached."""
+    """Return the tool's path (m, 3) [m] along positions (n, na), without unreachable positions; empty without a tool."""
     if robot.tool_frame is None or not len(q):
         return np.zeros((0, 3))
     thin = q[:: max(1, len(q) // _TRAIL)]

@@ -76,7 +76,7 @@ def _compare(turned: np.ndarray, shift: np.ndarray, depth: np.ndarray, r: np.nda
 
 
 def follow_turns(rotation: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return orientations (k, 3, 3) that turn continuously from the first, and the mask of poses (k,) without ambiguity.
+    """Return orientations (k, 3, 3) that turn continuously, and the mask of poses (k,) in the largest set joined by clear steps.
 
     Args:
         rotation: Orientations (k, 3, 3), each up to quarter turns.
