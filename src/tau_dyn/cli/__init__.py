@@ -1,11 +1,11 @@
-"""The command line: a command is a function whose signature is its command line; it hands back what to show and write."""
+"""The command line: a command is a function whose signature is its command line; it returns the results to show and write."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
 
-from tau_dyn.cli.ending import (  # first: from here on Ctrl-C is answered
+from tau_dyn.cli.ending import (  # first: Ctrl-C is handled from here on
     Ended,
     describe_machine_fault,
     ignore_narrow_terminal,
@@ -25,7 +25,7 @@ __all__ = ["COMMANDS", "Ended", "build_app", "describe_machine_fault", "execute"
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status."""
-    warnings.simplefilter("ignore", RuntimeWarning)  # numbers out of range end in a sentence of ours
+    warnings.simplefilter("ignore", RuntimeWarning)  # numbers out of range are reported by our own messages
     replace_unencodable()
     ignore_narrow_terminal()
     try:

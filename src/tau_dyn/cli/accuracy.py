@@ -22,10 +22,10 @@ _METHODS = Group("How")
 @Parameter(name="*", group=_PLACES)
 @dataclass(frozen=True, kw_only=True)
 class PlaceOptions:
-    """Where the accuracy is asked for.
+    """The poses at which the accuracy is computed.
 
     Attributes:
-        section: Cut through the workspace, such as x=1.75; default at home; of one or two actuators their whole motion
+        section: Section through the workspace, such as x=1.75; default at home; with one or two actuators their whole motion
         range: Part of the section
         grid: Points along the section's longer side (31; 11 for slow ones)
         no_limits: Ignore the actuators' position limits
@@ -57,17 +57,17 @@ def accuracy(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.FolderOutput = args.FolderOutput(),
 ) -> Outcome:
-    """How far the tool may be from where it should be: stated or measured errors of actuators and rods, over a section.
+    """Bounds on the tool's error from stated or measured errors of actuators and rods, over a section.
 
     Args:
-        actuator_error: Bound on the actuators' errors in m (rad for turning joints): 50e-6 for all, JOINT=50e-6 in all
+        actuator_error: Bound on the actuators' errors in m (rad for revolute joints): 50e-6 for all, JOINT=50e-6 in all
             directions, JOINT=50e-6:20e-6 along and across its guideway
         errors: Errors of actuators, rods and rod joints
-        measured: Measured points: of one cart (q_J and x_tool..; name the joint where the file has several), to check and
-            take its errors from; of the plate (all q_J and qx_tool..), to check its orientation; a joint's second file is
-            another load
+        measured: Measured points of one cart (q_J and x_tool..; name the joint if the file has several), to check and take its
+            errors from; or of the plate (all q_J and qx_tool..), to check its orientation; a joint's second file is another
+            load
         method: linear, parallelepiped, ellipsoid, exact, certified, montecarlo or all (default)
-        samples: Random draws a pose (300; 50 for slow robots)
+        samples: Random draws per pose (300; 50 for slow robots)
     """
     with show_progress(output.quiet) as step:
         step("loading")
@@ -156,7 +156,7 @@ def _get_only_joint(points, robot) -> str:
 
 
 def _collect_errors(path: Path | None, sizes: tuple[str, ...], robot, rods, measured):
-    """Return the errors, None for none at all, and whether they are from measurements."""
+    """Return the errors, or None, and whether they are from measurements."""
     from tau_dyn.kinematics.accuracy import ActuatorError, ErrorBounds, read_actuator_errors, read_errors_file
 
     given = ErrorBounds()
@@ -176,7 +176,7 @@ def _collect_errors(path: Path | None, sizes: tuple[str, ...], robot, rods, meas
 
 @dataclass(frozen=True)
 class _Study:
-    """What is asked: where, by which methods, with how many draws."""
+    """The requested study: section or poses, methods, number of draws."""
 
     places: PlaceOptions
     method: tuple[str, ...]

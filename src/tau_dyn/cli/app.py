@@ -1,7 +1,7 @@
-"""The command line's application: which commands there are, how words become a call, how a slip is answered.
+"""The command line's application: the commands, the parsing of words into a call, and messages about wrong usage.
 
-Each command is a function whose signature is its command line (cyclopts). A slip ends in one sentence that says what would be
-right, with status 2, like every other fault.
+Each command is a function whose signature is its command line (cyclopts). Wrong usage ends in one sentence with the correct
+usage and status 2, like every other wrong input.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ COMMANDS: dict[str, Callable[..., Outcome]] = {
     "causes": listings.causes,
     "data": listings.data,
 }
-"""Words that call a command -> its function."""
+"""Words of a command -> its function."""
 
 _OWN_FILES = {"export": export.name_export, "feedforward export": export.name_feedforward}
 """Commands whose own file in a run folder is named after their arguments."""
@@ -90,7 +90,7 @@ _SHELLS = ("bash", "zsh", "fish")
 
 
 def name_own_file(call: Call) -> str:
-    """Return the usual name of the command's own file in a run folder; empty where it has none."""
+    """Return the usual name of the command's own file in a run folder; empty if it has no own file."""
     words = next((words for words, function in COMMANDS.items() if function is call.function), "")
     if words in _OWN_FILES:
         return _OWN_FILES[words](call.values())
@@ -100,7 +100,7 @@ def name_own_file(call: Call) -> str:
 
 
 class _HelpFormatter(DefaultFormatter):
-    """Help whose descriptions are filled to the screen's width, wherever their docstring breaks lines."""
+    """Help whose descriptions are wrapped to the screen's width, regardless of line breaks in docstrings."""
 
     def __call__(self, console: Any, options: Any, panel: Any) -> None:
         """Show a panel of help."""
@@ -112,7 +112,7 @@ class _HelpFormatter(DefaultFormatter):
 
 
 def build_app(first: str = "") -> App:
-    """Return the application with all commands, or with those alone that begin with a word, if there are any."""
+    """Return the application with all commands, or only with those that begin with a word, if there are any."""
     named = {words for words in COMMANDS if words.split(" ")[0] == first} or set(COMMANDS)
     app = App(
         name="tau-dyn",
@@ -137,7 +137,7 @@ def build_app(first: str = "") -> App:
 
 
 def print_completion(shell: str, /) -> str:
-    """Print the shell's completion of this program: `tau-dyn completion bash > FILE`, then source it.
+    """Print a shell completion script for this program: `tau-dyn completion bash > FILE`, then source it.
 
     Args:
         shell: bash, zsh or fish.
@@ -148,17 +148,17 @@ def print_completion(shell: str, /) -> str:
 
 
 def _describe_default(default: Any) -> Any:
-    """Return what help shows of a default; None where there is nothing to say."""
+    """Return the text of a default in the help, or None if it is not shown."""
     if isinstance(default, RunFolder):
         return default.path
     return None if default in (None, (), "", False) else default
 
 
 def parse(argv: Sequence[str] | None, app: App | None = None) -> Call:
-    """Return the call that words make.
+    """Return the call that the command line's words describe.
 
     Raises:
-        InputError: They make none.
+        InputError: The words do not form a valid call.
     """
     words = _join_stdout(sys.argv[1:] if argv is None else argv)
     app = app or build_app(words[0] if words else "")
@@ -178,7 +178,7 @@ def parse(argv: Sequence[str] | None, app: App | None = None) -> Call:
 
 
 def _join_stdout(words: Sequence[str]) -> list[str]:
-    """Return the words with `--json -` as one: cyclopts takes a hyphen alone for an option without a name."""
+    """Return the words with `--json -` as one: cyclopts takes a single hyphen for an option without a name."""
     joined: list[str] = []
     for word in words:
         if word == "-" and joined and joined[-1] == "--json":
@@ -189,14 +189,14 @@ def _join_stdout(words: Sequence[str]) -> list[str]:
 
 
 def _refuse(app: App, fault: CycloptsError) -> NoReturn:
-    """Raise the sentence that says what would be right."""
+    """Raise an error with the correct usage."""
     chain = list(fault.command_chain or ())
     program = " ".join(["tau-dyn", *chain])
     raise InputError("bad_option", f"{program}: {_describe(app, fault, chain)}; see {program} --help") from None
 
 
 def _describe(app: App, fault: CycloptsError, chain: list[str]) -> str:
-    """Return a fault of the command line as a person would say it."""
+    """Return a sentence about a fault of the command line."""
     argument = fault.argument
     if isinstance(fault, UnknownCommandError):
         word = next(iter(fault.unused_tokens or [""]))
@@ -228,7 +228,7 @@ def _describe(app: App, fault: CycloptsError, chain: list[str]) -> str:
 
 
 def _describe_value(fault: CoercionError | ValidationError, argument: Argument) -> str:
-    """Return what is wrong with a value, and what to write."""
+    """Return a sentence about a wrong value, with the expected one."""
     token = fault.token if isinstance(fault, CoercionError) else None
     text = repr(token.value if token else next((t.value for t in argument.tokens), ""))
     if isinstance(fault, ValidationError):
@@ -248,7 +248,7 @@ def _list_kinds(argument: Argument) -> list[Kind]:
 
 
 def _find_refused(argument: Argument) -> str:
-    """Return the first word that a kind of numbers refuses."""
+    """Return the first word that the kind of number rejects."""
     for kind in _list_kinds(argument):
         for token in argument.tokens:
             try:
@@ -259,9 +259,9 @@ def _find_refused(argument: Argument) -> str:
 
 
 def _describe_missing(app: App, fault: CycloptsError, chain: list[str], name: str) -> str:
-    """Return what an option needs after it, or which arguments a command cannot do without."""
+    """Return a sentence about an option's missing value, or a command's missing arguments."""
     argument = fault.argument
-    assert argument is not None  # the caller has looked
+    assert argument is not None  # checked by the caller
     if argument.tokens or getattr(fault, "keyword", None) or isinstance(fault, ConsumeMultipleError):
         several, _ = argument.token_count()
         needed = "a value" if several == 1 else f"{several} values"
@@ -279,7 +279,7 @@ def _get_command(app: App, chain: Sequence[str]) -> App:
 
 
 def get_label(argument: Argument) -> str:
-    """Return an argument's name on the command line: an option, or a place in capitals."""
+    """Return an argument's name on the command line: an option, or a positional argument in capitals."""
     return next((n for n in argument.names if n.startswith("-")), argument.name.upper().lstrip("-"))
 
 
@@ -293,5 +293,5 @@ def list_options(app: App, command: str) -> dict[str, Argument]:
 
 
 def is_path(argument: Argument) -> bool:
-    """Tell whether an argument names files."""
+    """Return whether an argument names files."""
     return "Path" in str(argument.hint) or argument.hint is Path

@@ -1,7 +1,7 @@
 """Arguments that several commands take: kinds of numbers and files, the robot, fitting a model to logs, outputs.
 
-A command is a function; its signature is its command line. What stands here are annotations of single parameters and frozen
-dataclasses of options that a command takes together.
+A command is a function; its signature is its command line. This module holds annotations of single parameters and frozen
+dataclasses of options that belong together.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ if TYPE_CHECKING:
     from tau_dyn.robot import Robot
 
 STDOUT = Path("-")
-"""A file's name that means stdout."""
+"""File name for stdout."""
 SEVERAL = (1, None)
-"""An option that takes one value or more after it, and may be repeated."""
+"""An option that takes one or more values, and may be repeated."""
 
 
 @dataclass(frozen=True)
 class Kind:
-    """What numbers an argument takes, in words; a validator for cyclopts.
+    """A kind of number that an argument takes; a validator for cyclopts.
 
     Attributes:
-        words: What to write.
-        holds: Whether a number is one of these.
+        words: Description of the kind.
+        holds: Function that returns whether a number is of the kind.
     """
 
     words: str
     holds: Callable[[float], bool]
 
     def __call__(self, _: Any, value: Any) -> None:
-        """Refuse other numbers, single or several.
+        """Reject numbers of another kind, single or several.
 
         Raises:
             ValueError: A number is of another kind.
@@ -64,15 +64,15 @@ PORT = Kind("a port between 1 and 65535", lambda x: 0 < x < 65536)
 
 
 def build_whole_kind(low: int, high: int) -> Kind:
-    """Return the kind of whole numbers from a lowest to a highest."""
+    """Return the kind of whole numbers from `low` to `high`."""
     return Kind(f"a whole number from {low} to {high}", lambda x: low <= x <= high)
 
 
 def read_whole(_: Any, tokens: Sequence[Token]) -> int:
-    """Return a whole number; cyclopts would round others.
+    """Return a whole number; cyclopts would round other numbers.
 
     Raises:
-        ValueError: It is none.
+        ValueError: The number is not whole.
     """
     text = tokens[0].value
     if "." in text and not float(text).is_integer():
@@ -92,21 +92,21 @@ Paths = Annotated[tuple[Path, ...], Parameter(consume_multiple=SEVERAL)]
 
 
 def require_csv_name(_: Any, path: Any) -> None:
-    """Refuse the name of a file to write that is no CSV; a validator for cyclopts.
+    """Reject an output file whose name does not end in .csv; a validator for cyclopts.
 
     Raises:
-        ValueError: It ends otherwise.
+        ValueError: The name has another ending.
     """
     if isinstance(path, Path) and path.suffix.lower() != ".csv":
         raise ValueError("must end in .csv, which is what is written")
 
 
 def build_destination(own: str, text: str = "", *, csv: bool = False) -> Parameter:
-    """Return how `--out` is read: as the command's own file, or as a run folder that takes it with result and report.
+    """Return the parameter `--out`: the command's own file, or a run folder for this file, the result and the report.
 
     Args:
-        own: The file's usual name in capitals, `DIR` of a command that fills a folder, `FOLDER/` of one without an own file.
-        text: Help of an own file; the docstring's where it is empty.
+        own: The file's usual name in capitals, `DIR` for a command that fills a folder, `FOLDER/` for one without an own file.
+        text: Help of an own file; if empty, that of the docstring.
         csv: Whether the file must be a CSV.
     """
 
@@ -130,14 +130,14 @@ _ROBOT = Group("Robot", sort_key=80)
 @Parameter(name="*", group=_OUTPUT)
 @dataclass(frozen=True, kw_only=True)
 class Output:
-    """What every command takes.
+    """Options of every command.
 
     Attributes:
-        json: Write the result here; - writes it to stdout, and nothing else
+        json: Write the result here; - writes only the result, to stdout
         report: Write one self-contained page here
         seed: Seed of everything random
         quiet: No progress, no result on the screen; warnings stay
-        verbose: Log what is done on stderr
+        verbose: Log each step on stderr
     """
 
     json: Annotated[Path | None, Parameter(metavar="FILE")] = None
@@ -150,10 +150,10 @@ class Output:
 @Parameter(name="*", group=_OUTPUT)
 @dataclass(frozen=True, kw_only=True)
 class FolderOutput(Output):
-    """What commands take that have no file of their own.
+    """Options of commands without an own file.
 
     Attributes:
-        out: result, report and run.json (what went in, options, versions) go here
+        out: Folder for result, report and run.json (inputs, options, versions)
     """
 
     out: Annotated[Path | None, build_destination("FOLDER/")] = None
@@ -167,7 +167,7 @@ RobotName = Annotated[
 
 
 def describe_robot_or_model(brings: str) -> Parameter:
-    """Return the help of ROBOT where a model file is taken as well; `brings` says what it brings."""
+    """Return the help of ROBOT for commands that also take a model file; `brings` describes its effect."""
     return Parameter(
         help=f"A .urdf, .urdf.xacro or MJCF .xml file, a short name that `tau-dyn robots` lists {_A_XACRO}, "
         f"or a model file MODEL.yaml of identify or diagnose, {brings}"
@@ -177,19 +177,19 @@ def describe_robot_or_model(brings: str) -> Parameter:
 @Parameter(name="*", group=_ROBOT)
 @dataclass(frozen=True, kw_only=True)
 class RobotOptions:
-    """How a robot is loaded.
+    """Options for loading a robot.
 
     Attributes:
-        set: Xacro argument or dimension, such as prototype=d1, or a .yaml of them
+        set: Xacro argument or dimension, such as prototype=d1, or a .yaml file with several
         actuated: Actuated joints, if not those with a transmission or in ros2_control
         tool: Tool frame, if not tool, tool0, tcp, ee_link, flange or the tree's only leaf
         package: Folder of a ROS package, if not around the file, in AMENT_PREFIX_PATH or ROS_PACKAGE_PATH
-        srdf: An SRDF that names passive joints, if not the one of the same name beside the file
-        fitted_inertias: Accept inertias that no body has, as those fitted to forces
-        no_xacro: Accept plain URDF only; refuse xacro files, for they run code. Built-in robots are xacro files too
+        srdf: An SRDF that names passive joints, if not the one of the same name next to the file
+        fitted_inertias: Accept physically inconsistent inertias, such as those fitted to forces
+        no_xacro: Accept plain URDF only; refuse xacro files, because they run code. Built-in robots are xacro files too
         hold: Hold a joint still at this position [m or rad]
-        base: floating for a robot that walks, with its base's pose in the log; identify, check and columns take it
-        contact: Links that touch the ground at times: FRAME for a point foot, FRAME=RADIUS for a ball [m], FRAME=flat
+        base: floating for a walking robot, with the base pose in the log; only for identify, check and columns
+        contact: Links with intermittent ground contact: FRAME for a point foot, FRAME=RADIUS for a ball [m], FRAME=flat
     """
 
     set: Annotated[tuple[str, ...], Parameter(metavar="NAME=VALUE")] = ()
@@ -204,14 +204,14 @@ class RobotOptions:
     contact: Annotated[Strings, Parameter(metavar="FRAME")] = ()
 
     def load(self, robot: str | Path, *, may_float: bool = False) -> Robot:
-        """Load a robot: a robot file, a robot of ours, or a calibration's `--out`.
+        """Load a robot: a robot file, a built-in robot, or the `--out` file of a calibration.
 
         Args:
             robot: Its path or short name.
             may_float: Whether the command takes a floating base.
 
         Raises:
-            InputError: Options that belong elsewhere, or a file that holds no robot.
+            InputError: Options do not apply, or the file holds no robot.
         """
         from tau_dyn.robot import load_robot
 
@@ -230,7 +230,7 @@ class RobotOptions:
         )  # fmt: skip
 
     def hold_silent_joints(self, machine: Robot, robot: str | Path, logs: Sequence[Log | Recording]) -> Robot:
-        """Return the robot with those joints held still that neither carry the tool nor stand in a log, as a gripper's."""
+        """Return the robot with joints held still that neither move the tool nor occur in a log, such as a gripper's."""
         if self.actuated or machine.loops or is_model_file(robot):
             return machine
         names = {name for log in logs for name in log.channels}
@@ -241,10 +241,10 @@ class RobotOptions:
         )
 
     def load_model(self, robot: str | Path) -> Model:
-        """Load the model that ROBOT names: a file of ours with its effects, or a rigid robot.
+        """Load the model that ROBOT names: a model file with its effects, or a rigid robot.
 
         Raises:
-            InputError: Options that belong elsewhere, or a file that holds neither.
+            InputError: Options do not apply, or the file holds neither.
         """
         from tau_dyn.model import Model
 
@@ -307,11 +307,11 @@ _ELSEWHERE = {
     "xacro": "--no-xacro refuses every xacro",
     "tool": "the tool frame is named with --tool FRAME",
 }
-"""What is no xacro argument, and the option that it is."""
+"""Names that are not xacro arguments, and the option to use instead."""
 
 
 def read_arguments(texts: Sequence[str]) -> dict[str, str]:
-    """Return xacro arguments and dimensions of `--set`; NAME=VALUE counts before a file."""
+    """Return xacro arguments and dimensions of `--set`; NAME=VALUE overrides a file."""
     from tau_dyn.robot import read_dimensions_file
 
     from_files, given = {}, {}
@@ -329,12 +329,12 @@ def read_arguments(texts: Sequence[str]) -> dict[str, str]:
 
 
 def is_model_file(path: str | Path) -> bool:
-    """Tell whether a path names a model file of ours rather than a robot."""
+    """Return whether a path names a model file rather than a robot."""
     return Path(path).suffix.lower() in (".yaml", ".yml")
 
 
 def is_saved_model(path: str | Path) -> bool:
-    """Tell whether a path names a model file rather than a robot or a calibrated one."""
+    """Return whether a path names a model file rather than a robot or a calibrated robot."""
     if not is_model_file(path) or not Path(path).is_file():
         return is_model_file(path)
     with Path(path).open("rb") as file:
@@ -348,11 +348,11 @@ CHOICES = Group("Parameters, by name or pattern")
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class FittingOptions:
-    """What `identify` and `diagnose` take for a model that is fitted to logs.
+    """Options of `identify` and `diagnose` for a model that is fitted to logs.
 
     Attributes:
-        fix: Hold the nominal value, set a value, or give a value measured beforehand with its standard error
-        free: Estimate what is fixed by default, such as *.armature
+        fix: Hold the nominal value, set a value, or give a value measured in advance with its standard error
+        free: Estimate parameters that are fixed by default, such as *.armature
         bound: Constrain the estimate
         exclude: Leave out samples where this column is not zero
     """
@@ -364,7 +364,7 @@ class FittingOptions:
     exclude: Annotated[tuple[str, ...], Parameter(metavar="COLUMN")] = ()
 
     def open_logs(self, paths: Sequence[str]) -> list[Log | Recording]:
-        """Return logs; large ones stay on disk."""
+        """Return logs; large logs remain on disk."""
         from tau_dyn.log import open_log
 
         return [open_log(path, self.columns) for path in paths]
@@ -373,7 +373,7 @@ class FittingOptions:
         """Return logs in memory.
 
         Raises:
-            InputError: One is too large.
+            InputError: A log is too large.
         """
         from tau_dyn.log import Log
 
@@ -388,14 +388,14 @@ class FittingOptions:
         return [log for log in opened if isinstance(log, Log)]
 
     def collect(self, model: str, seed: int) -> dict[str, Any]:
-        """Return what `identify` and `diagnose` take by name, besides the logs."""
+        """Return the keyword arguments of `identify` and `diagnose`, without the logs."""
         from tau_dyn.identify import Choices
 
         choices = Choices(self.fix, self.free, self.bound)
         return {"model": model, "choices": choices, "exclude": self.exclude, "seed": seed}
 
     def list_inputs(self, model: str, paths: Sequence[str], logs: Sequence[Log | Recording]) -> list[Any]:
-        """Return the files that went in beside the robot's, logs with the hash that their reader knows."""
+        """Return the input files without the robot's; logs with the hash from their reader."""
         read = [(str(path), log.sha256) for path, log in zip(paths, logs, strict=True)]
         return [*read, *(p for p in (self.columns, Path(model)) if p is not None and p.is_file())]
 

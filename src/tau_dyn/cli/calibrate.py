@@ -39,27 +39,27 @@ def calibrate(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """From measured poses to a geometry with uncertainty: the model they bear, what each step gained, what no pose can tell.
+    """Geometry with uncertainty from measured poses: selected model, gain of each step, parameters that are not identifiable.
 
     Args:
         poses: Q_J of every actuated joint and x_tool y_tool z_tool [qx_tool ..] in the measuring device's frame, or
             distance_tool, hole, plane, sphere
-        holdout: Poses used for nothing but the final errors (without any, a quarter of many poses, or cross-validation)
-        encoders: Passive joints of loops whose positions q_J were measured, beside or instead of the tool
+        holdout: Poses used only for the final errors (default: a quarter of many poses, or cross-validation)
+        encoders: Passive joints of loops whose positions q_J were measured, in addition to the tool or instead of it
         model: auto; frames, ideal, nonparallel, complete or paths, as the robot offers them; with +periodic, +piecewise,
-            +compliant, +backlash, +delay, +gravity, +eccentric, +coupling:j3/j2 (a share) or coupling:j3=-j2 (all), each perhaps
-            with joints: nonparallel+periodic:cart2
+            +compliant, +backlash, +delay, +gravity, +eccentric, +coupling:j3/j2 (a share) or coupling:j3=-j2 (all), each
+            optionally with joints: nonparallel+periodic:cart2
         residual: Residual to minimise
         robust: Weights (gross outliers are left out in any case)
-        known: Frames that are known: the device measures in the robot's base frame, the target is the tool frame
-        fix: Parameters that stay nominal
-        free: Parameters freed on top of the model's
-        accuracy: Standard error of a measured coordinate [m], and perhaps of an orientation [rad]; held-out errors are
-            judged by it (default: columns x_tool_stderr .., or repeated poses)
-        prior: How exactly the robot is built to its file: standard deviation of lengths [m], and perhaps of angles [rad]
-            (default 0.01 0.01)
+        known: Known frames: the device measures in the robot's base frame, the target is the tool frame
+        fix: Parameters that keep their nominal values
+        free: Parameters to estimate in addition to the model's
+        accuracy: Standard error of a measured coordinate [m], and optionally of an orientation [rad]; held-out errors are
+            compared with it (default: columns x_tool_stderr .., or repeated poses)
+        prior: Standard deviation of the built robot from its file: of lengths [m], and optionally of angles [rad] (default
+            0.01 0.01)
         correct: Joint positions q_J that a controller computed with the robot file; needs --corrected
-        corrected: Write the positions at which the calibrated robot is where --correct meant it to be
+        corrected: Write the positions at which the calibrated robot reaches the poses intended by --correct
     """
     if (correct is None) != (corrected is None):
         raise InputError(
@@ -117,7 +117,7 @@ def _read_poses(options: args.RobotOptions, robot: str, machine, poses: Path, re
     """Return the robot and its measured poses; joints that do not move the tool are held still if the poses lack one.
 
     Raises:
-        InputError: A column that is needed is missing, or cells are no numbers.
+        InputError: A required column is missing, or cells are not numbers.
     """
     from tau_dyn.calibrate import read_poses
 
@@ -142,7 +142,7 @@ def _read_held_out(holdout: tuple[Path, ...], poses: Path, robot, reading: dict[
 
 
 def _correct(found, wanted) -> tuple[str, list[str]]:
-    """Return corrected positions as a CSV's text, and a warning where some have none."""
+    """Return corrected positions as CSV text, and a warning if some have no solution."""
     import numpy as np
     import pandas as pd
 

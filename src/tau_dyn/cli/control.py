@@ -54,7 +54,7 @@ def actuators(
 
     Args:
         logs: CSV, Parquet, MCAP, a ROS bag or .mat with t, references and positions; never joined
-        inputs: References (default: every q_ref_J beside which there is a q_J)
+        inputs: References (default: every q_ref_J for which there is a q_J)
         outputs: Positions, in the order of the inputs
     """
     with show_progress(output.quiet) as step:
@@ -98,11 +98,11 @@ def learn(
         reference: The motion without correction, as export --to reference writes it
         trial: A log with t and q_J, from the motion's first sample on; the last trial
         history: Earlier trials in their order, with their commands as q_ref_J; or all
-        actuators: From the actuators command (default: from the first trial)
-        correction: In force in TRIAL
-        gain: Part of the error that one iteration takes away (default: chosen)
-        shift: Of the error forwards in time [samples] (default: chosen)
-        cutoff: Of the learning (default: chosen)
+        actuators: A file of the actuators command (default: estimated from the first trial)
+        correction: The correction that was applied in TRIAL
+        gain: Part of the error that one iteration removes (default: chosen)
+        shift: Shift of the error forwards in time [samples] (default: chosen)
+        cutoff: Cutoff frequency of the learning (default: chosen)
         lead: Fading in and out [s] (default: a tenth of the motion)
         not_monotone: Allow convergence that is not monotone
         largest_correction: Refuse a larger one [m or rad] (default: the size of the motion)
@@ -163,7 +163,7 @@ def _read_trial(path: str, columns: Path | None, motion: Trajectory, joints: Seq
     """Return a trial's log.
 
     Raises:
-        InputError: Its clock is not the reference's, or it is shorter.
+        InputError: Its sample times differ from the reference's, or it is shorter.
     """
     from tau_dyn.log import read_log
 
@@ -183,7 +183,7 @@ def _read_trial(path: str, columns: Path | None, motion: Trajectory, joints: Seq
 def _read_command(
     log: Log, in_log: bool, correction: Path | None, motion: Trajectory, joints: Sequence[str], dt: float
 ) -> np.ndarray:
-    """Return what TRIAL was told (N, m): reference and correction, or its columns q_ref_J where trials went before it."""
+    """Return the commands of TRIAL (N, m): reference and correction, or its columns q_ref_J if there are earlier trials."""
     from tau_dyn.control.interface import read_correction, require_same_motion
 
     if correction is not None:
@@ -206,7 +206,7 @@ def _list_joints(reference: Path) -> tuple[str, ...]:
     """Return the joints of a reference file, in the order of its columns.
 
     Raises:
-        InputError: It has none.
+        InputError: The file has no joints.
     """
     joints = tuple(n.removeprefix("q_ref_") for n in read_columns(reference) if n.startswith("q_ref_"))
     if not joints:
@@ -233,15 +233,15 @@ def observe(
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
 ) -> Outcome:
-    """Where the tool was, from the actuators and an accelerometer on the tool, with 95 % intervals.
+    """Tool position from the actuators and an accelerometer on the tool, with 95 % intervals.
 
     Args:
         log: CSV, Parquet, MCAP, a ROS bag or .mat, from rest to rest
-        robot: Computes the tool from q_J, where --kinematic names no columns of it
-        acceleration: Of the tool along x, y, z, without gravity [m/s^2]
-        kinematic: The tool computed from the actuators, alike [m]
-        model: From computed to true tool positions, as modes --out writes it: Kalman filter
-        cutoff: Complementary filter, one or one an axis
+        robot: Computes the tool position from q_J if --kinematic names no columns
+        acceleration: Acceleration of the tool along x, y, z, without gravity [m/s^2]
+        kinematic: Tool position along x, y, z, computed from the actuators [m]
+        model: Kalman filter: model from computed to true tool positions, as modes --out writes it
+        cutoff: Complementary filter: cutoff frequency, one value or one per axis
     """
     import numpy as np
 
@@ -307,20 +307,20 @@ def lead_through(
     hand: Annotated[Positive, Parameter(group=_HANDLE, metavar="N/m")] = 1000.0,
     output: FolderOutput = FolderOutput(),
 ) -> Outcome:
-    """What force gain lead-through bears before it oscillates, and settings with half of it.
+    """Largest stable force gain of lead-through, and settings with half of it.
 
     Args:
-        log: One slow touch with the tool's force and position; tells the contact's stiffness
-        stiffness: Of the stiffest contact, instead of LOG
-        force: On the tool along the normal [N]
-        position: Of the tool along the normal [m]
-        actuators: From the actuators command; tells servo and delay
-        servo: Bandwidth of the drives (default 69, the thesis')
-        delay: From a force sample to the command that follows it [samples] (default 0)
-        period: Of the controller
-        gain: Check this one [m/s per N]
-        mass: Of the handle
-        damping: Of the handle [N s/m]
+        log: One slow contact with the tool's force and position, from which the contact's stiffness is estimated
+        stiffness: Stiffness of the stiffest contact, instead of LOG
+        force: Force on the tool along the normal [N]
+        position: Position of the tool along the normal [m]
+        actuators: A file of the actuators command, for servo and delay
+        servo: Bandwidth of the drives (default 69, from the thesis)
+        delay: Delay from a force sample to the next command [samples] (default 0)
+        period: Sample period of the controller
+        gain: Gain to check [m/s per N]
+        mass: Mass of the handle
+        damping: Damping of the handle [N s/m]
         hand: Stiffness of the stiffest hand
     """
     import numpy as np
@@ -349,7 +349,7 @@ def lead_through(
             servo = min(a.bandwidth_hz for a in axes) if servo is None else servo
             delay = int(np.ceil(max(a.delay for a in axes) / period - 1e-6)) if delay is None else delay
         loop = ForceLoop(period, 69.0 if servo is None else servo, delay or 0)
-        assert most is not None  # one of both is given
+        assert most is not None  # one of the two is given
         found = advise_lead_through(
             loop, most, mass=mass, damping=damping, force_gain=gain, hand_stiffness=hand, stderr=stderr
         )

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 TABLE_6_1 = ((145.69, 189.12, 158.01, 205.03), (119.23, 262.59, 133.76, 190.00), (177.22, 239.06, 197.52, 185.94))
 _QUANTITIES = ("coulomb_neg", "coulomb_pos", "viscous_neg", "viscous_pos")
 RATE_HZ = 500.0
-"""Of control and log."""
+"""Rate of control and log."""
 SECONDS = {"monday": 48.0, "tuesday": 32.0}
 """Length of the training and of the held-out log [s]."""
 TOOTH = 0.0209
@@ -34,41 +34,41 @@ TOOTH = 0.0209
 RIPPLE = 2.0
 """Amplitude of its force [N]."""
 PEAK = {"cart1": 18.0, "cart2": 20.0, "cart3": 22.0}
-"""What friction at standstill has above Coulomb's [N], about a tenth of it, gone at a few times 25 mm/s."""
+"""Excess of friction at standstill over Coulomb friction [N], about a tenth of it; it vanishes at a few times 25 mm/s."""
 
 MAX_PAYLOAD_KG = 2.0  # kg, two fifths of a UR5's rated payload
-PAYLOAD_SHARE = 0.12  # of the arm's moving mass, as 2 kg are of a UR5's; a small arm carries less
+PAYLOAD_SHARE = 0.12  # of the arm's moving mass, the share of 2 kg in a UR5's; a small arm carries less
 PAYLOAD_CENTRE = (0.02, 0.05, 0.04)
 """Centre of the arm's payload in the last joint's frame [m]."""
 PAYLOAD_GYRATION_M = 0.05
 """Its radius of gyration [m], that of a gripper."""
 _GEARED = {"coulomb": 0.05, "viscous": 0.05, "armature": 0.008, "stribeck": 0.035, "noise": 0.003}
-"""What a geared drive has, as shares of its joint's effort limit: friction [N m] and its growth up to full speed [N m], reflected
-rotor inertia [kg m2 per N m], friction's peak at standstill and the noise of its torque [N m]; of the size of a UR5's."""
+"""Properties of a geared drive relative to its joint's effort limit: friction [N m] and its growth up to full speed [N m],
+reflected rotor inertia [kg m2 per N m], friction's peak at standstill and torque noise [N m]; similar to a UR5's."""
 _PEAK_SPEED = {"rad": 0.08, "m": 0.025}
 """Speed over which the peak falls to a third [rad/s or m/s]."""
 _MASS_ERROR = 0.01
-"""Largest relative error of a mass in the arm's file; makers state masses to about that."""
+"""Largest relative error of a mass in the arm's file, about the accuracy of manufacturers' data."""
 _USUAL_SPEED = {"rad": 2.0, "m": 0.5}
-"""Full speed where the file gives none, as MJCF does [rad/s or m/s]; that of common arms."""
+"""Full speed if the file gives no limit, as in MJCF [rad/s or m/s]; that of common arms."""
 _ENCODER = {"rad": 2e-5, "m": 5e-6}
 """Standard deviation of its positions [rad or m]: of an encoder of 17 bits, and of a linear scale."""
 
 
-_FOLDER = cast(Path, RunFolder(Path("tau_dyn_demo"), beside=True))  # a command is given the folder's path
+_FOLDER = cast(Path, RunFolder(Path("tau_dyn_demo"), beside=True))  # a command receives the folder's path
 
 
 @dataclass(frozen=True)
 class Made:
-    """A robot as it truly is, and what of it the fitted model does not know.
+    """The true robot, and the effects that the fitted model lacks.
 
     Attributes:
         robot: The robot file.
         truth: The simulated robot.
-        sensors: Its sensors, as keywords.
+        sensors: Its sensors, as keyword arguments.
         hidden: The hidden causes.
-        said: They in words.
-        call: How a command names the robot.
+        said: The hidden causes in words.
+        call: Name of the robot in commands.
     """
 
     robot: Robot
@@ -87,12 +87,12 @@ def demo(
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
 ) -> Outcome:
-    """The main job on made data with hidden effects: simulate, identify, diagnose, report.
+    """The main workflow on simulated data with hidden effects: simulate, identify, diagnose, report.
 
-    Without a robot file it is the L1 Gantry-Tau with the asymmetric friction of Dressler 2012, Table 6.1, of whose pinion and
-    Stribeck friction the fitted model does not know. With a serial arm's file, such as a stock UR5's, it is that arm with geared
-    drives, a payload of up to 2 kg at its flange and Stribeck friction in one joint. Joints that do not carry the tool, such as a
-    gripper's, stand still.
+    The default robot is the L1 Gantry-Tau with the asymmetric friction of Dressler 2012, Table 6.1; the fitted model lacks the
+    pinion's ripple and the Stribeck friction. With a serial arm's file, such as a stock UR5's, it is that arm with geared drives,
+    a payload of up to 2 kg at its flange and Stribeck friction in one joint. Joints that do not carry the tool, such as a
+    gripper's, are held still.
 
     Args:
         robot: The file of a serial arm, such as a UR5's (default: a Gantry-Tau)
@@ -149,7 +149,7 @@ def demo(
 
 
 def hash_log(log: Log) -> Log:
-    """Return a log with the hash that its file will have, by which models name it."""
+    """Return a log with the hash that its file will have; models refer to logs by hash."""
     with TemporaryDirectory() as room:
         path = Path(room) / log.name
         log.to_csv(path)
@@ -172,7 +172,7 @@ def make_gantry(seed: int) -> Made:
 
 
 def build_true_model(robot: Robot, seed: int) -> Model:
-    """Return the simulated Gantry-Tau: Table 6.1's friction, and masses up to 10 % off the nominal ones."""
+    """Return the simulated Gantry-Tau: friction of Table 6.1, and masses that differ from the nominal ones by up to 10 %."""
     import numpy as np
 
     rng = np.random.default_rng(seed)
@@ -183,7 +183,7 @@ def build_true_model(robot: Robot, seed: int) -> Model:
 
 
 def load_arm(robot: str, options: RobotOptions) -> tuple[Robot, str]:
-    """Return the robot with those joints actuated that carry its tool, and how a command names it.
+    """Return the robot with only the joints actuated that carry its tool, and its name in commands.
 
     Raises:
         InputError: The robot has loops, or no joint carries its tool.
@@ -195,7 +195,7 @@ def load_arm(robot: str, options: RobotOptions) -> tuple[Robot, str]:
     if not carrying:
         missing = f"no joint carries {arm.tool}" if arm.tool else "several arms begin at its base"
         raise InputError("bad_option", f"{robot}: {missing}; name the last link of an arm with --tool")
-    if not arm.tool:  # the payload hangs on what is named so
+    if not arm.tool:  # the payload is attached to the tool frame
         last = next(link for link in reversed(arm.links) if arm.model.names[link.joint_id] in carrying)
         options = replace(options, tool=last.link)
         arm = options.load(robot)
@@ -203,7 +203,7 @@ def load_arm(robot: str, options: RobotOptions) -> tuple[Robot, str]:
     said += [f"--tool {options.tool}"] if options.tool else []
     if options.actuated:
         said.append(f"--actuated {' '.join(options.actuated)} --")
-    elif len(carrying) < arm.na:  # the logs lack the others, so that no command asks for them
+    elif len(carrying) < arm.na:  # the logs lack the other joints, so that no command requires them
         arm = replace(options, actuated=carrying).load(robot)
     return arm, " ".join(said)
 
@@ -255,7 +255,7 @@ def make_arm(robot: Robot, call: str, seed: int) -> Made:
 
 
 def _with_payload(link: LinkInertia, mass: float, values: dict[str, float]) -> dict[str, float]:
-    """Return a link's ten numbers with a payload's of this mass [kg] added (Huygens-Steiner)."""
+    """Return a link's ten inertial parameters with those of a payload of this mass [kg] added (Huygens-Steiner)."""
     import numpy as np
 
     names, c = link.names, np.array(PAYLOAD_CENTRE)
@@ -273,7 +273,7 @@ def _with_friction(robot: Robot) -> Model:
 
 
 def _extend(model: Model, effects: Sequence, values: dict[str, float]) -> Model:
-    """Return the model with further effects, at these values."""
+    """Return the model with further effects at these values."""
     from tau_dyn.parameters import Parameters
 
     more = Parameters([p for effect in effects for p in effect.parameters])

@@ -33,19 +33,19 @@ def diagnose(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """What the simulation gets wrong, which physical cause explains it, and how much better the model is with that cause.
+    """Physical causes of the residual between model and logs, and the improvement of the model by each cause.
 
-    The model is fitted first; what it misses is searched for causes, confirmed on a second part of the data, and the gain is
-    measured on a third. Where the data cannot tell, the answer says which experiment would, and the exit status is 3; so it is
-    where a motion is asked for and none would tell.
+    The model is fitted first. Causes are selected from its residual, confirmed on a second part of the data, and their gain is
+    measured on a third. If the data are inconclusive, the answer names an experiment that would decide, and the exit status is
+    3. The status is also 3 if a motion is requested and no motion would decide.
 
     Args:
-        holdout: Logs kept from the search: one half confirms a cause, the other measures its gain (without any, blocks of
-            the logs do, 60/20/20)
-        model: What the simulation has already: rigid, symmetric (.coulomb .viscous .offset), asymmetric (.._pos .._neg), or
-            a model file; its parameters are refitted
-        propose: Write the motion here (t, q_ref, v_ref, a_ref; a minute, within the robot's limits) that best tells what
-            these logs could not
+        holdout: Logs excluded from the search: one half confirms a cause, the other measures its gain (default: blocks of the
+            logs, 60/20/20)
+        model: Effects already in the model: rigid, symmetric (.coulomb .viscous .offset), asymmetric (.._pos .._neg), or a
+            model file; its parameters are refitted
+        propose: Write the motion here (t, q_ref, v_ref, a_ref; a minute, within the robot's limits) that best separates the
+            causes that these logs do not separate
         controller: The rig's controller: the first log with q_ref_JOINT is simulated again in closed loop, before and after;
             for logs of commands and positions without torque (cmd_J, q_J) the servo's law
     """
@@ -100,7 +100,7 @@ def diagnose(
 
 
 def _read_law(path: Path | None, robot, logs):
-    """Return the controller, sure that a log can be simulated with it, or None."""
+    """Return the controller after a check that a log can be simulated with it, or None."""
     if path is None:
         return None
     from tau_dyn.diagnose import log_with_references
@@ -111,7 +111,7 @@ def _read_law(path: Path | None, robot, logs):
 
 
 def _propose(found, logs, path: Path, seed: int, step):
-    """Return the proposed motion or None, warnings, and what the result says of it."""
+    """Return the proposed motion or None, warnings, and its part of the result."""
     from tau_dyn.diagnose import propose_motion
 
     try:

@@ -1,11 +1,11 @@
-"""How a run ends that is told to end, or whose machine fails it: one line, no traceback, no piece of a file.
+"""End of a run after a signal or a fault of the machine: one line, no traceback, no partial file.
 
-SIGTERM and SIGHUP unwind like Ctrl-C, so that temporary files go away (a batch system's time limit sends SIGTERM). SIGKILL
-cannot be answered; what it leaves is removed by the next run that writes to the same place (`files.sweep`).
+SIGTERM and SIGHUP unwind like Ctrl-C, so that temporary files are removed (a batch system's time limit sends SIGTERM). SIGKILL
+cannot be handled; the next run that writes to the same place removes its remains (`files.sweep`).
 
 An exception raised by a signal may be lost or changed on its way: an import wraps it (`__set_name__` in CPython 3.11) or prints
-it (extensions that load NumPy), a destructor swallows it. So a signal waits while something is imported, and comes again where it
-was swallowed.
+it (extensions that load NumPy), a destructor swallows it. Therefore a signal waits during an import, and is sent again if its
+exception was lost.
 """
 
 from __future__ import annotations
@@ -37,34 +37,34 @@ _MACHINE = {
     errno.ENOMEM: "free some memory",
     errno.ENAMETOOLONG: "give it a shorter name",
 }
-"""What a machine may lack, and what helps; no defect of ours."""
+"""Resources that a machine may lack, and the remedy; these are no defects of the program."""
 
 
 _AGAIN_S = 0.05
-"""After how long a signal is sent again that came at a bad time."""
+"""Delay before a lost signal is sent again [s]."""
 
 _PATIENCE_S = 30.0
-"""For how long a signal waits for imports, longer than any of ours takes."""
+"""Longest wait of a signal for imports [s], longer than any import of this package takes."""
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C; where a `KeyboardInterrupt` itself left an `exec` of text, `python -m` ends by the signal, though it was caught."""
+    """Ctrl-C; a `KeyboardInterrupt` that leaves an `exec` of text ends `python -m` by the signal although it was caught."""
 
 
 class Ended(SystemExit):
-    """A signal asked this process to end; its status is 128 and the signal's number, as shells count."""
+    """A signal asked this process to end; the exit status is 128 plus the signal's number, as in shells."""
 
     def __init__(self, number: int) -> None:
-        """Say which signal."""
+        """Store the exit status of the signal."""
         super().__init__(128 + number)
         self.name = signal.Signals(number).name
 
 
 class _Listener:
-    """Turns signals into exceptions, where these can travel."""
+    """Turns signals into exceptions at times when these are not lost."""
 
     def __init__(self) -> None:
-        """Nothing was heard yet."""
+        """Start without a pending signal."""
         self._first: float | None = None
         self._again: threading.Timer | None = None
 
@@ -78,7 +78,7 @@ class _Listener:
         raise Interrupted if number == signal.SIGINT else Ended(number)
 
     def lost(self, what: Any) -> None:
-        """Send a signal again whose exception nobody could pass on; show any other as before (`sys.unraisablehook`)."""
+        """Send a signal again if its exception was lost; show any other exception as usual (`sys.unraisablehook`)."""
         if isinstance(what.exc_value, Interrupted):
             self._later(signal.SIGINT)
         elif isinstance(what.exc_value, Ended):
@@ -87,7 +87,7 @@ class _Listener:
             sys.__unraisablehook__(what)
 
     def over(self) -> None:
-        """Send nothing any more."""
+        """Stop sending signals again."""
         if self._again is not None:
             self._again.cancel()
 
@@ -100,7 +100,7 @@ class _Listener:
 
 @contextmanager
 def unwind_on_signal() -> Iterator[None]:
-    """Let Ctrl-C or a request to end unwind the block; what somebody else handles or ignores (nohup) stays theirs."""
+    """Let Ctrl-C or a request to end unwind the block; signals that are already handled or ignored (nohup) are not changed."""
     usual = {signal.SIGINT: signal.default_int_handler, **dict.fromkeys(ASKED, signal.SIG_DFL)}
     mine = [number for number in usual if signal.getsignal(number) is usual[number]] if _in_main_thread() else []
     listener, hook = _Listener(), sys.unraisablehook
@@ -118,7 +118,7 @@ def unwind_on_signal() -> Iterator[None]:
 
 
 def describe_machine_fault(fault: OSError | MemoryError) -> str | None:
-    """Return the sentence about what the machine lacks; None where that is not it."""
+    """Return a sentence about the resource that the machine lacks, or None for other faults."""
     if isinstance(fault, MemoryError):
         return "out of memory; give a shorter log or an excerpt, or a machine with more"
     if fault.errno not in _MACHINE:
@@ -128,14 +128,14 @@ def describe_machine_fault(fault: OSError | MemoryError) -> str | None:
 
 
 def say(sentence: str) -> None:
-    """Write a line to stderr where that takes one; the exit status speaks for itself."""
+    """Write a line to stderr if possible; a failure is ignored, since the exit status is set in any case."""
     with suppress(OSError, ValueError, AttributeError):
         sys.stderr.write(f"{sentence}\n")
         sys.stderr.flush()
 
 
 MIN_COLUMNS = 20
-"""Width of a terminal below which text cannot be wrapped; a program that runs ours may set zero."""
+"""Smallest width of a terminal at which text can be wrapped; a calling program may set zero."""
 
 
 def ignore_narrow_terminal() -> None:
@@ -146,14 +146,14 @@ def ignore_narrow_terminal() -> None:
 
 
 def replace_unencodable() -> None:
-    """Let a screen of another coding show `?` for what it cannot, instead of failing."""
+    """Show `?` for characters that the terminal's encoding lacks, instead of failing."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
 
 
 class QuietStart:
-    """While the program loads, Ctrl-C ends it without a word: nothing has begun, and a traceback would tell nobody anything."""
+    """Ends the program without a message at Ctrl-C while it loads: no work has begun, and a traceback would not help."""
 
     def __init__(self) -> None:
         """Begin."""
@@ -162,7 +162,7 @@ class QuietStart:
             self._before = signal.signal(signal.SIGINT, signal.SIG_DFL)
 
     def over(self) -> None:
-        """Return to Python's own answer to Ctrl-C."""
+        """Restore Python's own handler of Ctrl-C."""
         if self._before is not None:
             signal.signal(signal.SIGINT, self._before)
 

@@ -23,17 +23,17 @@ _NOISE = Group("Noise, for the predicted standard errors")
 @Parameter(name="*", group=_DESIGN)
 @dataclass(frozen=True, kw_only=True)
 class DesignOptions:
-    """How the best motion is searched for; None leaves a choice to the design.
+    """Options of the search for the best motion; with None the design chooses.
 
     Attributes:
         criterion: worst: the largest relative standard error (default); d: the volume of the confidence ellipsoid;
             condition: of the regressor
         fastest: Highest frequency of the periodic part (default 2)
         strokes: Share of the time for strokes at constant speeds (default 0.2)
-        speed: Highest speed, one or one a joint [m/s or rad/s] (default 90 % of the limit, at most 1 m/s or 2 rad/s)
-        acceleration: Highest acceleration, one or one a joint (default 6 times the highest speed a second)
+        speed: Highest speed, one or one per joint [m/s or rad/s] (default 90 % of the limit, at most 1 m/s or 2 rad/s)
+        acceleration: Highest acceleration, one or one per joint (default 6 times the highest speed per second)
         box: Box [m] that the tool stays in: its lowest and its highest corner
-        condition: Largest conditioning of the loops
+        condition: Largest condition number of the loops
         time: Longest time for the search (default 90 s)
     """
 
@@ -50,13 +50,13 @@ class DesignOptions:
 @Parameter(name="*", group=_NOISE)
 @dataclass(frozen=True, kw_only=True)
 class NoiseOptions:
-    """What noise the log to come will have.
+    """Expected noise of the future log.
 
     Attributes:
         force_noise: Standard deviation [N or N m]
         encoder_noise: Standard deviation [m or rad]
-        noise_from: Take both from what a model leaves of this log
-        rate: Rate of the log to come
+        noise_from: Estimate both from the residual of a model on this log
+        rate: Rate of the future log
     """
 
     force_noise: Annotated[args.Positives | None, Parameter(metavar="N")] = None
@@ -65,7 +65,7 @@ class NoiseOptions:
     rate: Annotated[args.Positive, Parameter(metavar="HZ")] = 1000.0
 
     def estimate(self, model):
-        """Return the noise, None where nothing is said of it.
+        """Return the noise, or None if it is not given.
 
         Raises:
             InputError: The encoders' noise is given without the forces'.
@@ -96,13 +96,13 @@ def excite(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """An exciting motion within the robot's limits, with the standard errors it will give.
+    """An exciting motion within the robot's limits, with predicted standard errors.
 
     Args:
         duration: Length [s]
         trials: Random motions to start or choose from
-        model: What shall be identified: rigid, symmetric, asymmetric or a model file
-        method: Search for the best motion, or keep the best conditioned of random ones
+        model: Model to be identified: rigid, symmetric, asymmetric or a model file
+        method: Search for the best motion, or select the best conditioned of random ones
     """
     given = {name: value for name, value in asdict(design).items() if value is not None}
     if method == "random" and given:
@@ -146,7 +146,7 @@ def excite(
 
 
 def _choose_random(model, noise, duration: float, trials: int, seed: int, step: Callable[[str], None]):
-    """Return the best conditioned of random motions, its result, what is said of it, and the predicted errors."""
+    """Return the best conditioned of random motions, its result, sentences about it, and the predicted errors."""
     from tau_dyn.excitation import predict
     from tau_dyn.simulate import build_exciting_motion, compute_base_condition
 
@@ -161,7 +161,7 @@ def _choose_random(model, noise, duration: float, trials: int, seed: int, step: 
 
 
 def _design(model, noise, duration: float, trials: int, seed: int, rate: float, given: dict[str, Any], step):
-    """Return the designed motion, its result, what is said of it, the predicted errors, and what the search did."""
+    """Return the designed motion, its result, sentences about it, the predicted errors, and the course of the search."""
     from tau_dyn.excitation import design_motion
     from tau_dyn.simulate import compute_base_condition
 
@@ -192,7 +192,7 @@ def _describe_noise(noise) -> dict[str, Any]:
 
 @contextmanager
 def _show_rounds(quiet: bool) -> Iterator[Callable[[str], None]]:
-    """Show steps as all commands do; where nobody watches the terminal, the search's rounds as lines on stderr."""
+    """Show steps as in all commands; without a terminal, show the iterations of the search as lines on stderr."""
     with show_progress(quiet) as step:
         plain = not quiet and not sys.stderr.isatty()
 

@@ -1,7 +1,7 @@
-"""One command from its call to its files: outputs are checked first, all is written whole at the end, then shown.
+"""Execution of a command: outputs are checked first, written atomically at the end, then shown.
 
-Nothing is written before the command has returned its `Outcome`. Exit status: 0 the answer stands, 2 the input is at fault (no
-file written), 3 the data cannot answer (`--json` and the run folder say so), 1 a defect of ours.
+No file is written before the command has returned its `Outcome`. Exit status: 0 valid answer, 2 wrong input (no file written),
+3 the data cannot answer (reported in `--json` and the run folder), 1 a defect of the program.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ class Call:
     """A command with its arguments.
 
     Attributes:
-        command: Its first word, as results name it.
-        function: What it calls.
-        bound: With which arguments.
+        command: Its first word, as in results.
+        function: The function of the command.
+        bound: Its arguments.
     """
 
     command: str
@@ -64,13 +64,13 @@ class Call:
         return self.function(*self.bound.args, **self.bound.kwargs)
 
     def values(self) -> dict[str, Any]:
-        """Return every argument by name, those of shared options beside the others, defaults included."""
+        """Return every argument by name, including those of shared options and defaults."""
         complete = inspect.BoundArguments(self.bound.signature, self.bound.arguments.copy())
         complete.apply_defaults()
         return dict(_flatten_options(complete.arguments))
 
     def replace(self, **values: Any) -> Call:
-        """Return the call with other values of some arguments."""
+        """Return the call with some arguments replaced."""
         complete = inspect.BoundArguments(self.bound.signature, self.bound.arguments.copy())
         complete.apply_defaults()
         for name, value in complete.arguments.items():
@@ -92,21 +92,21 @@ def _flatten_options(arguments: dict[str, Any]) -> Iterator[tuple[str, Any]]:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a command has to say, before anything is written.
+    """The results of a command, before files are written.
 
     Attributes:
         result: The command's part of the JSON result.
         warnings: Sentences.
-        inputs: Files read; or pairs of path and hash, where a reader knows the hash already. None stands for one not given.
-        found: What was found, which `render` prints and makes a page of; None where neither is asked.
-        context: What `render` is told besides.
-        printed: Whether what was found is printed, too.
-        lines: Lines for a person, below what was found.
-        show: Prints the result for a person instead; it is told what was written, by name.
-        files: What to write: path -> text, or a function that writes to the path given. None stands for a file not asked for.
+        inputs: Files read; or pairs of path and hash, if a reader knows the hash already. None for a file not given.
+        found: The result object, which `render` prints and turns into a page; None without either.
+        context: Further arguments of `render`.
+        printed: Whether the result object is also printed.
+        lines: Lines for a person, below the result object.
+        show: Prints the result for a person instead; its argument is the names of written files.
+        files: Files to write: path -> text, or a function that writes to the given path. None for a file not requested.
         named: Names of files that were written, for the last line on the screen.
-        report: Makes the report page's text instead, from the command line that repeats it.
-        exit_status: 0 where the answer stands; 3 where the data cannot tell, and `result` says so in its own `status`.
+        report: Builds the report page's text instead, from the command line that repeats it.
+        exit_status: 0 for a valid answer; 3 if the data cannot answer, with the reason in the `status` of `result`.
     """
 
     result: dict[str, Any] = field(default_factory=dict)
@@ -123,7 +123,7 @@ class Outcome:
     exit_status: int = 0
 
     def has_page(self) -> bool:
-        """Tell whether there is a report page."""
+        """Return whether there is a report page."""
         return self.report is not None or self.found is not None
 
     def build_page(self, command_line: str) -> str:
@@ -148,15 +148,15 @@ class Outcome:
 
 @dataclass(frozen=True)
 class _Run:
-    """A call, and where its results go.
+    """A call and its destinations.
 
     Attributes:
-        call: With `out`, `json` and `report` as files, in the run folder where there is one.
+        call: The call with `out`, `json` and `report` as files, in the run folder if there is one.
         values: Its arguments by name.
-        folder: The run folder, None where none was asked for.
+        folder: The run folder, or None.
         configuration: Its options, for the run folder.
         page_asked: Whether `--report` was given.
-        to_stdout: Whether stdout takes the result instead of what a person reads (`--json -`).
+        to_stdout: Whether stdout receives the JSON result instead of text for a person (`--json -`).
     """
 
     call: Call
@@ -181,7 +181,7 @@ def execute(call: Call, own_file: str = "") -> int:
 
     Args:
         call: The command with its arguments.
-        own_file: Usual name of the command's own file in a run folder; empty where it has none.
+        own_file: Usual name of the command's own file in a run folder; empty if it has no own file.
     """
     with log_to_stderr(call.values()["verbose"]):
         return _run(_place_results(call, own_file))
@@ -208,7 +208,7 @@ def _run(run: _Run) -> int:
     if refusal is not None:
         said = f"{refusal.missing}. The experiment that would: {refusal.experiment}."
         sentences.append(f"cannot answer: {said} [{refusal.code}]")
-    with suppress(OSError):  # a screen that takes nothing; the files say it, too
+    with suppress(OSError):  # a closed screen; the files hold the same
         for sentence in sentences:
             errors.print(format_one_line(sentence), markup=False)
     if run.to_stdout:
@@ -219,7 +219,7 @@ def _run(run: _Run) -> int:
 
 
 def _place_results(call: Call, own_file: str) -> _Run:
-    """Return the run; with a run folder, what was not asked for elsewhere goes there under its usual name."""
+    """Return the run; in a run folder, files without another destination get their usual names."""
     values = call.values()
     configuration, page_asked = collect_configuration(values), values["report"] is not None
     to_stdout = values["json"] == STDOUT
@@ -238,7 +238,7 @@ def _place_results(call: Call, own_file: str) -> _Run:
 
 
 def _check_destinations(run: _Run) -> dict[Path, tuple[int, int]]:
-    """Refuse outputs that cannot be written or would overwrite something; return how the inputs are now."""
+    """Reject outputs that cannot be written or would overwrite a file; return size and time of the inputs."""
     folder, destinations = run.folder, run.destinations()
     for path in destinations:
         if not resolve_destination(path).parent.is_dir() and not (folder is not None and folder.holds(path)):
@@ -272,13 +272,13 @@ def _show(put: Callable[[Console], Any]) -> None:
 
 
 def _list_given(values: dict[str, Any]) -> list[Path]:
-    """Return every file that the arguments name, as they name it: all that is not an output may be an input."""
+    """Return every file that the arguments name, unresolved: every file that is not an output may be an input."""
     named = [x for name, value in values.items() if name not in _OUTPUTS for x in _flat(value)]
     texts = [x for x in named if isinstance(x, str | Path) and str(x)]
     texts += [x.partition("=")[2] for x in texts if isinstance(x, str) and x.partition("=")[2]]  # JOINT=FILE
     items = [Path(x) for x in texts]
     folders = [Path(x) for name in ("logs", "holdout", "images") for x in _flat(values.get(name)) if x]
-    items += [file for folder in folders if folder.is_dir() for file in folder.iterdir()]  # a recording in pieces
+    items += [file for folder in folders if folder.is_dir() for file in folder.iterdir()]  # a recording's parts
     items += [path.parent / name for path in list(items) for name in _list_mapped_files(values)]
     return [item for item in items if _is_file(item)]
 
@@ -290,12 +290,12 @@ def _flat(value: Any) -> list[Any]:
 def _is_file(path: Path) -> bool:
     try:
         return path.is_file()
-    except (OSError, ValueError):  # a long text, or one with a null byte, is no file
+    except (OSError, ValueError):  # a long text, or one with a null byte, is not a file
         return False
 
 
 def _list_mapped_files(values: dict[str, Any]) -> Sequence[str]:
-    """Return the further files that a column map reads beside the log."""
+    """Return the files that a column map reads in addition to the log."""
     if values.get("columns") is None:
         return ()
     from tau_dyn.log import ColumnMap
@@ -304,13 +304,13 @@ def _list_mapped_files(values: dict[str, Any]) -> Sequence[str]:
 
 
 def _stamp(path: Path) -> tuple[int, int]:
-    """Return what changes when a file is written: its size and the time of its last change."""
+    """Return size and modification time of a file, which change when it is written."""
     about = path.stat()
     return about.st_size, about.st_mtime_ns
 
 
 def _list_changed(inputs: Sequence[Path | tuple[str, str] | None], before: dict[Path, tuple[int, int]]) -> list[str]:
-    """Return a sentence for each input that somebody wrote to meanwhile; the hash of a log is that of what was read."""
+    """Return a sentence for each input that was changed during the run; the hash of a log is that of the content read."""
     paths = [item.resolve() for item in inputs if isinstance(item, Path)]
     return [
         f"{path} changed while it was used; the hash in the result is that of the file as it is now"
@@ -320,10 +320,10 @@ def _list_changed(inputs: Sequence[Path | tuple[str, str] | None], before: dict[
 
 
 def _write(run: _Run, outcome: Outcome) -> tuple[str, dict[str, str]]:
-    """Write everything, the run folder last, all complete before the first takes its place.
+    """Write all files, the run folder last; all are complete before the first is moved to its destination.
 
     Returns:
-        The result as JSON, empty where nobody wants it, and what was written, by name.
+        The result as JSON, empty if it is not requested, and the written files by name.
     """
     values, folder, command_line = run.values, run.folder, format_command_line()
     about = build_result_envelope(run.call.command, values["seed"], outcome.inputs, "ok", outcome.warnings)
@@ -345,7 +345,7 @@ def _write(run: _Run, outcome: Outcome) -> tuple[str, dict[str, str]]:
             inside = room is not None and folder is not None and folder.holds(path)
             temporary = room / path.name if inside and room else staged.enter_context(write_atomically(path))
             if isinstance(content, str):
-                temporary.write_text(content, encoding="utf-8", errors="replace")  # halves of characters, from JSON
+                temporary.write_text(content, encoding="utf-8", errors="replace")  # lone surrogates, from JSON
             else:
                 content(temporary)
         if room is not None and folder is not None:
@@ -359,9 +359,9 @@ def _write(run: _Run, outcome: Outcome) -> tuple[str, dict[str, str]]:
 
 
 def _refuse_overwritten(run: _Run, files: Iterable[Path]) -> None:
-    """Refuse to write over what came along with an output, as a header does with C code, or what another run put in the folder.
+    """Reject overwriting of an output's companion files, such as the header of C code, and of another run's files.
 
-    Known only when all is done, so the work is lost; nothing else is.
+    These files are known only at the end, so the computation is lost, but no file is.
     """
     own = {resolve_destination(path) for path in files}
     if own & {resolve_destination(path) for path in (run.values["json"], run.values["report"]) if path is not None}:
@@ -377,7 +377,7 @@ def _refuse_overwritten(run: _Run, files: Iterable[Path]) -> None:
 
 
 def _twice(path: Path, folder: RunFolder | None, which: int) -> list[Path]:
-    """Return where a result goes: to the file asked for, and to the run folder."""
+    """Return the destinations of a result: the requested file, and the run folder."""
     return [path] if folder is None else list(dict.fromkeys([path, folder.files()[which]]))
 
 
@@ -399,7 +399,7 @@ class _Screen(Console):
     """A console whose reader may leave early, as `head` does."""
 
     def on_broken_pipe(self) -> NoReturn:
-        """Leave quietly: everything was written already."""
+        """Exit without a message: all files are already written."""
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(0)
 
@@ -407,7 +407,7 @@ class _Screen(Console):
 def build_result_envelope(
     command: str, seed: int, inputs: Sequence[Path | tuple[str, str] | None], status: str, warnings: Sequence[str]
 ) -> dict[str, Any]:
-    """Return what every result says of itself."""
+    """Return the fields that every result has."""
     return {
         "tool_version": __version__,
         "command": command,
@@ -427,10 +427,10 @@ def _hash_input(item: Path | tuple[str, str]) -> tuple[str, str]:
 
 
 def format_command_line() -> str:
-    """Return how the program was called, for a page's provenance."""
+    """Return the command line of this run, for a page's provenance."""
     return shlex.join(["tau-dyn", *sys.argv[1:]])
 
 
 def format_json(value: Any) -> str:
-    """Return strict JSON: arrays as lists, what is not finite as null."""
+    """Return strict JSON: arrays as lists, values that are not finite as null."""
     return json.dumps(to_plain(value), indent=2, allow_nan=False) + "\n"

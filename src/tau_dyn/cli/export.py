@@ -23,10 +23,10 @@ _SENT = Group("--to reference, rapid")
 
 @dataclass(frozen=True)
 class Made:
-    """What a format makes of the input.
+    """The output of a format.
 
     Attributes:
-        files: What to write.
+        files: Files to write.
         said: One line for a person.
         result: The format's part of the JSON result.
         warnings: Sentences.
@@ -41,22 +41,22 @@ class Made:
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions:
-    """What single formats take.
+    """Options of single formats.
 
     Attributes:
-        name: With which all functions begin (default: the robot's name)
-        actuators: Fitted actuators, whose delays count (a file of `actuators`)
-        samples: Samples that `identify --samples` wrote, to randomise a trainer's robots; FILE.npz beside FILE.py
+        name: Prefix of all functions (default: the robot's name)
+        actuators: Fitted actuators, for their delays (a file of `actuators`)
+        samples: Samples of `identify --samples`, to randomise a trainer's robots; writes FILE.npz next to FILE.py
         motion: t, q_ref_J (or q_J) of each joint
         correction: Add this learned correction to the motion
         period: The controller's sample period
-        resample: Interpolate a motion of which no whole number of samples makes a period (else every n-th is taken)
-        speed: limit, one or one a joint [per s]
-        acceleration: limit, one or one a joint [per s^2]
-        force: limit, one or one a joint [N or N m]
-        largest_correction: limit, one or one a joint [m or rad]
+        resample: Interpolate a motion if the period is not a whole number of samples (else every n-th sample is used)
+        speed: Limit, one or one per joint [per s]
+        acceleration: Limit, one or one per joint [per s^2]
+        force: Limit, one or one per joint [N or N m]
+        largest_correction: Limit, one or one per joint [m or rad]
         by: rapid: MoveAbsJ or MoveL
-        tolerance: rapid: of straight moves [m or rad]
+        tolerance: rapid: tolerance of straight moves [m or rad]
     """
 
     name: Annotated[str | None, Parameter(group=_CODE, metavar="NAME")] = None
@@ -76,7 +76,7 @@ class ExportOptions:
 
 @dataclass(frozen=True)
 class _Request:
-    """What is exported: a model file or a robot, how, and where to."""
+    """An export: a model file or a robot, the format, and the destination."""
 
     source: Path
     to: str
@@ -85,12 +85,12 @@ class _Request:
     robot_options: args.RobotOptions = field(default_factory=args.RobotOptions)
 
     def load_model(self):
-        """Return the model; of a robot its nominal rigid body without effects."""
+        """Return the model; for a robot its nominal rigid body without effects."""
         return load_model(self.source, self.robot_options)
 
 
 def load_model(source: Path, options: args.RobotOptions):
-    """Return a file's model; of a robot its nominal rigid body without effects."""
+    """Return a file's model; for a robot its nominal rigid body without effects."""
     from tau_dyn.model import Model
 
     return Model.load(source) if args.is_saved_model(source) else Model.of(options.load(str(source)), [])
@@ -111,7 +111,7 @@ def export(
     """A robot or its identified model for another program: URDF, MJCF, SDF, FMU, drives, C kinematics, references, RAPID.
 
     Args:
-        model: A model file of identify or diagnose; or a robot (file or short name), which stands for its nominal rigid body
+        model: A model file of identify or diagnose; or a robot (file or short name), exported as its nominal rigid body
         to: Format
     """
     chosen = FORMATS[to]
@@ -139,7 +139,7 @@ def export(
 
 
 def name_export(values: dict[str, Any]) -> str:
-    """Return the usual name of what `export` writes."""
+    """Return the usual name of the file that `export` writes."""
     return f"{values['model'].name.split('.')[0]}{FORMATS[values['to']].ending}"
 
 
@@ -187,7 +187,7 @@ _TRAINERS = ("mjlab", "isaaclab", "playground")
 
 
 def _make_randomisation(request: _Request) -> Made:
-    """Return samples as a trainer's module and the table beside it."""
+    """Return samples as a trainer's module and its table."""
     from tau_dyn.exchange import build_randomisation, read_samples
 
     samples = request.options.samples
@@ -201,7 +201,7 @@ def _make_randomisation(request: _Request) -> Made:
 
 
 def _make_drives(request: _Request) -> Made:
-    """Return the drives for BAM, mjlab or Isaac Lab; with samples what randomises them."""
+    """Return the drives for BAM, mjlab or Isaac Lab; with samples, their randomisation."""
     if request.options.samples is not None:
         return _make_randomisation(request)
     from tau_dyn.control.iterative import read_actuators
@@ -274,7 +274,7 @@ def _make_kinematics(request: _Request) -> Made:
 
 
 def _build_motion(request: _Request):
-    """Return the model and the motion that a controller may be given."""
+    """Return the model and the checked motion for a controller."""
     from tau_dyn.control import (
         CommandLimits,
         apply_correction,
@@ -338,8 +338,8 @@ class Format:
     """One choice of --to.
 
     Attributes:
-        ending: Of the file.
-        make: From what is asked.
+        ending: Ending of the file.
+        make: Function that makes the output of a request.
         moves: Whether --motion is needed.
     """
 
@@ -361,7 +361,7 @@ FORMATS: dict[str, Format] = {
     "reference": Format(".csv", _make_reference, moves=True),
     "rapid": Format(".mod", _make_rapid, moves=True),
 }
-"""What --to offers; another format is one more line here and a word in the signature of `export`."""
+"""Choices of --to; a new format needs a line here and a word in the signature of `export`."""
 
 _ENDINGS = {"c": ".c", "python": ".py"}
 
@@ -379,15 +379,15 @@ def export_feedforward(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """A model's feedforward tau_ff(q, v, a) written out for a controller: dependency-free C, or Python with NumPy alone.
+    """A model's feedforward tau_ff(q, v, a) as code for a controller: dependency-free C, or Python that needs only NumPy.
 
     Args:
-        model: A model file of identify or diagnose, or a robot, which stands for its nominal rigid body
+        model: A model file of identify or diagnose, or a robot, exported as its nominal rigid body
         to: Language
-        name: Of the function
-        width: Speed within which the sign of friction is smoothed, one or one a joint [m/s or rad/s]
-        shape: Of the smoothed sign
-        steady: Leave out effects that need a history, and say which
+        name: Name of the function
+        width: Speed within which the sign of friction is smoothed, one or one per joint [m/s or rad/s]
+        shape: Shape of the smoothed sign
+        steady: Leave out effects that need a history, and list them
     """
     import numpy as np
 
@@ -451,5 +451,5 @@ def export_feedforward(
 
 
 def name_feedforward(values: dict[str, Any]) -> str:
-    """Return the usual name of what `feedforward export` writes."""
+    """Return the usual name of the file that `feedforward export` writes."""
     return f"{values['name']}{_ENDINGS[values['to']]}"

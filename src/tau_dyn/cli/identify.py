@@ -42,17 +42,17 @@ def identify(
 
     Args:
         holdout: Held-out logs, for evaluation only
-        model: Friction model: rigid (none), symmetric (.coulomb .viscous .offset), asymmetric (.._pos .._neg); or a model
-            file, which gives start values and effects
-        per_log: Estimate a value for each log, everything else shared, and test whether the logs differ
-        samples: Draw N physically consistent parameter sets that the logs and the robot file leave possible; beside MODEL.yaml
-            they are MODEL_samples.parquet
-        controller: The servo's law, for logs of commands and positions without torque (cmd_J, q_J); without it its gains are
-            estimated, and masses are known up to their scale
+        model: Friction model: rigid (no friction), symmetric (.coulomb .viscous .offset), asymmetric (.._pos .._neg); or a
+            model file, which gives start values and effects
+        per_log: Estimate a value for each log, all other parameters shared, and test whether the logs differ
+        samples: Draw N physically consistent parameter sets that agree with the logs and the robot file; with MODEL.yaml they
+            are written to MODEL_samples.parquet
+        controller: The servo's law, for logs of commands and positions without torque (cmd_J, q_J); without it, its gains are
+            estimated, and masses only up to a common scale
         estimator: wls: weighted least squares of filtered signals; ml: maximum likelihood at the full rate with encoder
             noise; iv: ml with instrumental variables from q_ref_J, for encoder noise that the controller feeds back;
             robust: ml with outlier weights; auto: iv or ml if the residual is consistent with noise, else wls
-        jobs: Threads (default: one a core)
+        jobs: Threads (default: one per core)
         cluster: A Dask scheduler whose workers see the same files; 'local' starts one here with N processes
     """
     with show_progress(output.quiet) as step:
@@ -110,7 +110,7 @@ def _is_table(path: Path | None) -> bool:
 def _list_files(
     out: Path | None, found: Any, samples: int, seed: int, step: Callable[[str], None]
 ) -> tuple[dict[Path | None, Callable[[Path], None]], Any]:
-    """Return what to write and the samples: the model, and beside it the samples, or these alone where `--out` names a table."""
+    """Return the files to write and the samples: the model with its samples, or only the samples if `--out` names a table."""
     if not samples:
         if _is_table(out):
             raise InputError("bad_option", f"--out {out} names a table of samples; say how many with --samples N")

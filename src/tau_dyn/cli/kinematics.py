@@ -1,4 +1,4 @@
-"""`tau-dyn fk` and `tau-dyn ik`: numbers on the command line or tables of poses, and one table out.
+"""`tau-dyn fk` and `tau-dyn ik`: input as numbers on the command line or tables of poses, output as one table.
 
 `tau-dyn workspace`.
 """
@@ -28,13 +28,12 @@ def fk(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """Where actuated positions put the tool.
+    """Tool pose at given actuated positions (forward kinematics).
 
     Args:
         q: Actuated positions [m or rad], in their order
-        all: Every assembly mode found, with the count: proved in closed form or by a certificate, else found from many
-            starts
-        poses: A table of positions q_<joint>, one a row
+        all: Every assembly mode found; their number is proved in closed form or by a certificate, else found from many starts
+        poses: A table of positions q_<joint>, one per row
     """
     import numpy as np
 
@@ -45,7 +44,7 @@ def fk(
         from tau_dyn.kinematics import build_forward_table, read_positions
 
         machine = robot_options.load(robot)
-        if q and len(q) != machine.na:  # values of the joints that carry the tool will do: a gripper's do not move it
+        if q and len(q) != machine.na:  # values of the joints that carry the tool suffice: a gripper's do not move it
             carrying = robot_options.hold_silent_joints(machine, robot, [])
             machine = carrying if len(q) == carrying.na else machine
         if q and len(q) != machine.na:
@@ -71,14 +70,14 @@ def ik(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """Which actuated positions put the tool at a pose.
+    """Actuated positions at a given tool pose (inverse kinematics).
 
     Args:
-        position: Of the tool [m]
-        quaternion: Of the tool; by default home's
-        all: All configurations, also outside joint limits; the count is proved in closed form or by elimination, or only
-            found
-        poses: A table of poses x_tool y_tool z_tool [qx_tool qy_tool qz_tool qw_tool], one a row
+        position: Position of the tool [m]
+        quaternion: Orientation of the tool (default: at home)
+        all: All configurations, including those outside joint limits; their number is proved in closed form or by
+            elimination, else found from many starts
+        poses: A table of poses x_tool y_tool z_tool [qx_tool qy_tool qz_tool qw_tool], one per row
     """
     import numpy as np
 
@@ -123,7 +122,7 @@ def _read_stiffness(text: str) -> float:
     """Return a stiffness, infinity for `rigid`.
 
     Raises:
-        ValueError: It is no number above zero.
+        ValueError: The text is not a number above zero.
     """
     if text == "rigid":
         return float("inf")
@@ -168,24 +167,24 @@ def workspace(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """Where a robot's tool can be, why not elsewhere, and how stiff, fast and far from singular it is there.
+    """Workspace of a robot's tool, reasons for unreachable points, and stiffness, speed and distance to singularities in it.
 
     Args:
         resolution: Finest grid [m]; default a 60th of the workspace
-        orientation: Turn of the tool from home [deg]
-        section: Plane to judge and draw; default: through home
-        what: condition, manipulability, singularity, speed, force, stiffness, sag, resonance: what sections and --out hold
-        tilt: Place [m] whose tilt is asked; default home
-        obstacles: obstacles, safety zones, limits of the tool
+        orientation: Rotation of the tool from home [deg]
+        section: Plane to check and draw; default: through home
+        what: Maps of sections and --out: condition, manipulability, singularity, speed, force, stiffness, sag, resonance
+        tilt: Position [m] at which the range of tilt is computed; default home
+        obstacles: Obstacles, safety zones, limits of the tool
         tool_limit: Limits of the tool [m]
-        ball_angle: Of all ball joints; default the file's, else 45
-        clearance: Between the robot's own parts
-        no_collisions: Let the robot pass through itself
+        ball_angle: Largest angle of all ball joints; default the file's, else 45
+        clearance: Clearance between the robot's own parts
+        no_collisions: Ignore collisions of the robot with itself
         condition: Largest condition number
         border: Distance to keep from the border
-        rod_stiffness: Of each rod with its joints; 'rigid' for none that yields (default: the file's)
+        rod_stiffness: Stiffness of each rod with its joints, or 'rigid' (default: the file's)
         actuator_stiffness: N/m or N m/rad between drive and link, or 'rigid' (default: the file's)
-        load: Weight of a load at the tool, whose sag is asked
+        load: Weight of a load at the tool, for the sag
     """
     with show_progress(output.quiet) as step:
         step("loading")

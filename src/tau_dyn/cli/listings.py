@@ -1,4 +1,4 @@
-"""`tau-dyn robots`, `causes`, `data` and `compare`: what there is, and what changed."""
+"""`tau-dyn robots`, `causes`, `data` and `compare`: lists of built-in content, and differences between runs."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ def robots(
     no_xacro: bool = False,
     output: FolderOutput = FolderOutput(),
 ) -> Outcome:
-    """The robots that a command takes by name, and joints, masses and dimensions of one of them.
+    """The built-in robots, or joints, masses and dimensions of one robot.
 
     Args:
-        robot: List its joints, masses and what --set takes for it
-        set: With other values, such as prototype=d1
-        no_xacro: Refuse xacro files, for they run code
+        robot: List its joints, masses and the names that --set takes
+        set: Other values, such as prototype=d1
+        no_xacro: Refuse xacro files, because they run code
     """
     if robot:
         return _list_dimensions(robot, set, no_xacro)
@@ -45,7 +45,7 @@ def robots(
 
 
 def _list_dimensions(robot: str, given: tuple[str, ...], no_xacro: bool) -> Outcome:
-    """List arguments and dimensions of one robot, its joints and its bodies, where its file holds a robot as it is."""
+    """List arguments and dimensions of one robot, and its joints and bodies if the file can be loaded without further options."""
     from tau_dyn.render import print_result
     from tau_dyn.robot import find_robot, list_dimensions
 
@@ -68,7 +68,7 @@ def _list_dimensions(robot: str, given: tuple[str, ...], no_xacro: bool) -> Outc
 
 
 def _show_table(console, rows: Iterable[dict[str, str]], **columns: str) -> None:
-    """Print rows; `columns` are the keys shown and their heads."""
+    """Print rows; `columns` are the shown keys and their headers."""
     from rich.table import Table
     from rich.text import Text
 
@@ -178,7 +178,7 @@ Side = Annotated[
 
 
 def compare(a: Side, b: Side, /, *, output: FolderOutput = FolderOutput()) -> Outcome:
-    """What changed between two runs, results or models in parameters, errors and findings, by more than chance."""
+    """Significant changes between two runs, results or models in parameters, errors and findings."""
     with show_progress(output.quiet) as step:
         step("comparing")
         from tau_dyn.compare import compare as compare_sides, read_side

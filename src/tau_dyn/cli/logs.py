@@ -28,7 +28,7 @@ def check(
 
     Args:
         log: CSV, Parquet, MCAP, a ROS bag or .mat
-        robot: The robot it is of; tells units and limits
+        robot: The robot of the log; gives units and limits
     """
     with show_progress(output.quiet) as step:
         step("reading")
@@ -94,9 +94,9 @@ def columns(
 
 
 DEFAULT_DURATION_S = 60.0
-"""Length of a named motion, and of a vibration test, where none is given [s]."""
+"""Default length of a named motion, and of a vibration test [s]."""
 DEFAULT_BUS_HZ = 50.0
-"""Rate at which a servo's commands are sent and its positions logged, where none is given [Hz]."""
+"""Default rate at which a servo's commands are sent and its positions logged [Hz]."""
 _TRUTH = Group("What is true beside ROBOT", validator=validators.MutuallyExclusive())
 _SENSORS = Group("Controller and sensors")
 _VIBRATION = Group("Vibration (robot files with springs, such as gantry_tau --set arms=complete --set flexible=true)")
@@ -109,11 +109,11 @@ class SensorOptions:
 
     Attributes:
         rate: Control rate (default 1000)
-        log_rate: Log rate, the control rate over a whole number
+        log_rate: Log rate, the control rate divided by a whole number
         force_noise: Standard deviation [N or N m]
         force_colour: AR(1) coefficient of the force noise
-        encoder_noise: [m or rad]
-        encoder_resolution: [m or rad]; 0: none
+        encoder_noise: Standard deviation [m or rad]
+        encoder_resolution: Resolution [m or rad]; 0 for no quantisation
         tool_noise: Tool position noise [m]
     """
 
@@ -134,12 +134,12 @@ class VibrationOptions:
     Attributes:
         vibration: Instead of a motion, near home: prbs, binary references at 250 Hz; or pushes on the tool at 1 kHz, -xyz
             in turn
-        amplitude: Of the references [m or rad] (default 1e-3), of a push [N s] (2)
+        amplitude: Amplitude of the references [m or rad] (default 1e-3), or of a push [N s] (2)
         frame: Frame or link whose position is logged
         push_at: Frame or link that is pushed (default that of --frame)
-        drive_lag: Time constant of the drives, one or one a joint [s] (default: they follow at once)
+        drive_lag: Time constant of the drives, one or one per joint [s] (default: no lag)
         drive_delay: Delay of the drives [s]
-        acceleration_noise: [m/s^2]
+        acceleration_noise: Standard deviation [m/s^2]
     """
 
     vibration: Literal["prbs", "push-x", "push-y", "push-z", "push-xyz"] | None = None
@@ -172,7 +172,7 @@ def simulate(
         motion: fourier, slow, strokes, multisine, prbs, or a CSV with t and q_ref_JOINT
         duration: Length of a named motion [s] (default 60)
         effects: Effects and parameter values of the true robot
-        model: Put the effects and values of this model file on ROBOT
+        model: Simulate ROBOT with the effects and values of this model file
         controller: The controller file; a servo's law gives a log of commands and positions (cmd_J, q_J) without torque
     """
     if vibration.vibration:
@@ -240,7 +240,7 @@ def simulate(
 
 
 def _simulate_servo(true, path, controller: Path | None, sensors: SensorOptions, seed: int, name: str):
-    """Return a log of commands and positions where the controller file, or the model file, holds a servo's law; else None."""
+    """Return a log of commands and positions if the controller file or the model file holds a servo's law, else None."""
     from tau_dyn.servo import simulate_loop_log
     from tau_dyn.simulate import build_servo_law, is_servo_law, read_servo_law
 
@@ -257,7 +257,7 @@ def _simulate_servo(true, path, controller: Path | None, sensors: SensorOptions,
 
 
 def _build_true_model(robot: str, options: args.RobotOptions, effects: Path | None, model: Path | None):
-    """Return what is simulated: a model file's robot as it is, or ROBOT with hidden effects, a model's values, or nominal."""
+    """Return the model to simulate: that of a model file, or ROBOT with hidden effects, with a model's values, or nominal."""
     from tau_dyn.identify import build_model
     from tau_dyn.model import Model
     from tau_dyn.simulate import read_effects_file

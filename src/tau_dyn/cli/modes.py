@@ -34,22 +34,22 @@ def modes(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """Resonances from vibration logs, with uncertainty; a black-box model; M, D and K where the data hold them.
+    """Resonances from vibration logs, with uncertainty; a black-box model; M, D and K if the data determine them.
 
     Args:
         logs: CSV, Parquet, MCAP, a ROS bag or .mat with t and any columns; never joined
-        inputs: What excites; without any, operational modal analysis of the outputs (logs with other outputs are further
-            set-ups, joined by the outputs that all have)
-        outputs: What responds; as many as inputs and in their order, they are taken as measured where the forces act
-        reference: What a feedback loop was asked to follow, where one was closed
+        inputs: Excitations; without any, operational modal analysis of the outputs (logs with other outputs are further
+            set-ups, joined by the common outputs)
+        outputs: Responses; if as many as inputs and in their order, they are assumed to be measured where the forces act
+        reference: Reference of the feedback loop, if the loop was closed
         holdout: Held-out logs, for evaluation only (without any, the last 30 % of each log)
         method: auto, n4sid, pbsid (valid under feedback), arx or era (impulse tests)
         order: Number of states; auto chooses
         delay: Delay of the inputs in samples
-        sensor: What the outputs are, for mass, damping and stiffness; auto goes by their names (acc1_g, ax_tool, x_tool) or
-            by what fits
-        collocated: Pairs at one place and in one direction, for mass, damping and stiffness (default: inputs and outputs in
-            their order, where as many)
+        sensor: Quantity of the outputs, for mass, damping and stiffness; auto uses their names (acc1_g, ax_tool, x_tool) or
+            the best fit
+        collocated: Pairs at the same point and in the same direction, for mass, damping and stiffness (default: inputs and
+            outputs in their order, if equally many)
         robot: Draw the modes on this robot (outputs named x_tool, ay_plate, ...); with springs in its file also its own
             modes
     """
@@ -109,7 +109,7 @@ def modes(
 
 
 def _project(robot, found):
-    """Return the modes on the robot, and a warning where it was asked for and nothing can be drawn."""
+    """Return the modes on the robot, and a warning if they were requested but cannot be drawn."""
     if robot is None:
         return None, []
     from tau_dyn.modes import project_shapes_on_robot

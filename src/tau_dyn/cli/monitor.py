@@ -14,7 +14,7 @@ from tau_dyn.cli.execute import Outcome
 from tau_dyn.cli.progress import show_progress
 from tau_dyn.exceptions import InputError
 
-_REFERENCE_S = 60.0  # s, as `tau_dyn.monitor.REFERENCE_S`, which is slow to import
+_REFERENCE_S = 60.0  # s, equal to `tau_dyn.monitor.REFERENCE_S`, which is slow to import
 
 
 def payload(
@@ -31,7 +31,7 @@ def payload(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.FolderOutput = args.FolderOutput(),
 ) -> Outcome:
-    """Mass, centre and inertia of a payload from logs without and with it, or the motion that would tell.
+    """Mass, centre and inertia of a payload from logs without and with it, or a motion that would determine them.
 
     Args:
         loaded: Logs with the payload, of the same motion or another
@@ -69,14 +69,14 @@ def watch(
     exclude: Annotated[tuple[str, ...], Parameter(metavar="COLUMN")] = (),
     output: args.FolderOutput = args.FolderOutput(),
 ) -> Outcome:
-    """What has changed on a robot and since when: friction, payload, an encoder's offset, a delay.
+    """Changes of a robot and their times: friction, payload, an encoder's offset, a delay.
 
     At most one false alarm is expected in 10,000 hours of motion. The status is 0 with and without alarms.
 
     Args:
-        follow: Go on reading the last LOG, a CSV file that still grows; Ctrl-C ends it
-        patience: With --follow, end after so long without a new line
-        reference: Motion at the beginning, and after each alarm, that counts as normal
+        follow: Continue to read the last LOG, a CSV file that is still written; Ctrl-C ends it
+        patience: With --follow, end after this time without a new line
+        reference: Duration of motion at the beginning, and after each alarm, that counts as normal
         exclude: Leave out samples where this column is not zero
     """
     with show_progress(output.quiet) as step:
@@ -127,7 +127,7 @@ def fleet(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """Mean and spread of each parameter over units of one type, and the units that are outlying.
+    """Mean and spread of each parameter over units of one type, and outlying units.
 
     A new unit then needs little motion: tau-dyn identify ROBOT NEW.csv --model FLEET.yaml
 
@@ -159,6 +159,6 @@ def fleet(
 
 
 def _split_unit(text: str) -> tuple[str, str]:
-    """Return unit and path of `[UNIT=]LOG`; a log without a unit is one by itself."""
+    """Return unit and path of `[UNIT=]LOG`; a log without a unit is a unit of its own."""
     unit, equals, path = text.partition("=")
     return (unit, path) if equals and unit and not Path(text).exists() else (Path(text).stem, text)

@@ -23,14 +23,14 @@ _LIMITS = Group("Limits, one or one a joint")
 @Parameter(name="*", group=_ENDS)
 @dataclass(frozen=True, kw_only=True)
 class Ends:
-    """Where a motion starts and ends, and along which path.
+    """Start, end and path of a motion.
 
     Attributes:
         start: Tool position at the start [m]
         end: Tool position at the end [m]
         start_joints: Actuated positions instead of --from [m or rad]
         end_joints: Actuated positions instead of --to [m or rad]
-        path: line: the tool goes straight; a table with x_tool, y_tool, z_tool: a spline through these points (default:
+        path: line: a straight line of the tool; a table with x_tool, y_tool, z_tool: a spline through these points (default:
             free)
     """
 
@@ -44,7 +44,7 @@ class Ends:
         """Return start, end and whether they are actuated positions.
 
         Raises:
-            InputError: They are given twice, or not at all.
+            InputError: Start or end is given twice, or not at all.
         """
         import numpy as np
 
@@ -61,7 +61,7 @@ class Ends:
         """Return None, 'line', or the points of a table (n, 3) [m].
 
         Raises:
-            InputError: The table is missing, or a column of it.
+            InputError: The table or one of its columns is missing.
         """
         from tau_dyn.kinematics import pick_columns
 
@@ -83,15 +83,15 @@ class Ends:
 @Parameter(name="*", group=_LIMITS)
 @dataclass(frozen=True, kw_only=True)
 class LimitOptions:
-    """What a motion may not exceed.
+    """Limits of a motion.
 
     Attributes:
         force_limit: Largest force [N or N m] (default the robot file's)
         speed_limit: Largest speed [m/s or rad/s] (default the robot file's)
-        acceleration_limit: Largest acceleration [m/s^2 or rad/s^2] (default none)
-        jerk_limit: Largest jerk [m/s^3 or rad/s^3] (default none)
+        acceleration_limit: Largest acceleration [m/s^2 or rad/s^2] (default: no limit)
+        jerk_limit: Largest jerk [m/s^3 or rad/s^3] (default: no limit)
         margin: Share of the forces that is kept for the feedback
-        condition: Largest conditioning of the loops
+        condition: Largest condition number of the loops
     """
 
     force_limit: Annotated[args.Positives | None, Parameter(metavar="L")] = None
@@ -116,13 +116,13 @@ def plan_motion(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """The fastest motion between two places that the drives can follow, or one with less effort; free or along a path.
+    """The fastest motion between two positions that the drives can follow, or one with less effort; free or along a path.
 
     Args:
         energy_weight: Minimise T + W times the integral of squared forces [s per N^2 s] (0: the shortest time)
-        rate: Of the motion
+        rate: Sample rate of the motion
         nodes: Intervals of linear acceleration
-        period: Of the controller; no interval is shorter
+        period: Period of the controller; no interval is shorter
     """
     start, end, joints = ends.choose()
     with show_progress(output.quiet) as step:
@@ -153,7 +153,7 @@ _DEVICE = Group(
 )
 _DEMANDS = Group("Where the robot may go")
 _PICTURES = Group("Setting the camera up")
-_DIGITS = 4  # decimals of the positions in a picture, as a person types them
+_DIGITS = 4  # decimals of the positions in an image, which a person types
 Count = int | Literal["auto"]
 
 
@@ -161,7 +161,7 @@ def _read_count(_: Any, tokens: Sequence[Token]) -> Count:
     """Read a number of poses, or auto.
 
     Raises:
-        ValueError: It is neither.
+        ValueError: The text is neither.
     """
     text = tokens[0].value
     try:
@@ -175,13 +175,13 @@ def _read_count(_: Any, tokens: Sequence[Token]) -> Count:
 @Parameter(name="*", group=_PICTURES)
 @dataclass(frozen=True, kw_only=True)
 class CameraSetup:
-    """Where a camera should stand, and pictures that help to bring it there.
+    """Placement of a camera, and images for its alignment.
 
     Attributes:
-        save_camera: Write the camera's file with the place chosen here; `choose` in it says what may be chosen
-        picture: Write what the camera should see here, lines to lay over the live picture
-        at: Actuated positions of the robot in the picture (default: the chosen pose that shows the camera's place best)
-        taken: A picture that the camera took at these positions; says how to move and turn the camera, plans nothing
+        save_camera: Write the camera's file with the chosen placement here; `choose` in it lists the free quantities
+        picture: Write the expected camera image here, as lines to overlay on the live image
+        at: Actuated positions of the robot in the image (default: the chosen pose that best determines the placement)
+        taken: An image that the camera took at these positions; reports the correction of the camera, without a plan
     """
 
     save_camera: Annotated[Path | None, Parameter(metavar="CAMERA.yaml")] = None
@@ -190,10 +190,10 @@ class CameraSetup:
     taken: Annotated[Path | None, Parameter(metavar="IMAGE")] = None
 
     def check(self, camera: Path | None) -> None:
-        """Refuse options that do not belong together.
+        """Reject options that cannot be combined.
 
         Raises:
-            InputError: There is no camera, or no positions of a picture.
+            InputError: There is no camera, or the positions of an image are missing.
         """
         given = {"--save-camera": self.save_camera, "--picture": self.picture, "--taken": self.taken, "--at": self.at}
         named = next((name for name, value in given.items() if value), None)
@@ -207,10 +207,10 @@ class CameraSetup:
             raise InputError("bad_option", "--at belongs to a picture: give --picture or --taken as well")
 
     def require_plan(self, resume: Path) -> None:
-        """Refuse outputs of a new plan where a progress file is there.
+        """Reject outputs of a new plan if a progress file exists.
 
         Raises:
-            InputError: A picture or a camera's place is asked for.
+            InputError: An image or a camera placement is requested.
         """
         if self.picture or self.save_camera:
             raise InputError(
@@ -219,10 +219,10 @@ class CameraSetup:
             )
 
     def check_device(self, device: Any) -> None:
-        """Refuse to write the place of a camera that stands, or a picture of a camera on the tool.
+        """Reject the output of a placement for a fixed camera, or of an image for a camera on the tool.
 
         Raises:
-            InputError: It is one of these.
+            InputError: One of these is requested.
         """
         from tau_dyn.calibrate.poses import ToolCamera
 
@@ -238,10 +238,10 @@ class CameraSetup:
             )
 
     def read_positions(self, robot):
-        """Return actuated positions (na,), none where none are given.
+        """Return actuated positions (na,); an empty array if they are not given.
 
         Raises:
-            InputError: Their number is not the robot's.
+            InputError: Their number differs from the robot's.
         """
         import numpy as np
 
@@ -282,26 +282,26 @@ def plan_poses(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """Which poses to measure for a calibration, how accurate it will be, and in which order to drive to them.
+    """Poses to measure for a calibration, their order, and the predicted accuracy.
 
     Args:
-        n: How many; auto: until more hardly help
-        model: What is to be calibrated, as `calibrate --model` names it (default: all dimensions)
-        criterion: What makes poses good (tool: the tool's predicted variance over the workspace)
-        accuracy: Accuracy asked for, rms over the workspace [m]; refuses where it is not met
-        known: Frames that are known
-        weighted: The fit will weigh each pose by the device's covariance there
+        n: Number of poses; auto: until more poses give little improvement
+        model: Model to be calibrated, as in `calibrate --model` (default: all dimensions)
+        criterion: Criterion for poses (tool: the tool's predicted variance over the workspace)
+        accuracy: Required accuracy, rms over the workspace [m]; an error if it is not met
+        known: Known frames
+        weighted: The fit will weight each pose by the device's covariance
         camera: Camera and pattern
         tracker: Laser tracker and reflector
         fixtures: Points from which distances are measured; holes, planes and balls that the target touches
-        obstacles: obstacles, safety zones, limits of the tool
-        no_collisions: Let the robot pass through itself
-        safety: From obstacles and the workspace's border [m]
-        safety_angle: From the ball joints' limits
-        candidates: About how many poses to choose from
+        obstacles: Obstacles, safety zones, limits of the tool
+        no_collisions: Ignore collisions of the robot with itself
+        safety: Distance from obstacles and the workspace's border [m]
+        safety_angle: Distance from the ball joints' limits
+        candidates: Approximate number of candidate poses
         rapid: Write a RAPID module here
-        resume: Progress file: written if it does not exist; otherwise nothing is chosen anew and --out and --rapid get what
-            is left of it
+        resume: Progress file: written if it does not exist; otherwise no new poses are chosen, and --out and --rapid get
+            the remaining ones
     """
     import numpy as np
 
@@ -363,7 +363,7 @@ def plan_poses(
 
 
 def _draw_wanted(machine, plan, setup: CameraSetup) -> tuple[dict[str, Any], str, Any]:
-    """Return the pose of the picture that the camera should take, for the result and in words, and what writes it."""
+    """Return the pose of the expected camera image, for the result and in words, and the function that writes the image."""
     import numpy as np
 
     from tau_dyn.calibrate.poses import choose_picture_pose
@@ -384,7 +384,7 @@ def _place_tool(machine, q):
     """Return the tool's pose (1) at actuated positions (na,).
 
     Raises:
-        InputError: The robot cannot be there.
+        InputError: The robot cannot reach these positions.
     """
     found = machine.kinematics.forward(q[None])
     if not found.ok.all():
@@ -393,7 +393,7 @@ def _place_tool(machine, q):
 
 
 def _align(robot: str, options: args.RobotOptions, camera: Path | None, setup: CameraSetup) -> Outcome:
-    """Compare a picture that the camera took with what it should see."""
+    """Compare an image that the camera took with the expected one."""
     from tau_dyn.calibrate.poses import find_camera_correction, read_camera
     from tau_dyn.kinematics.workspace import build_machine
     from tau_dyn.render import draw_camera_picture
@@ -428,7 +428,7 @@ def _align(robot: str, options: args.RobotOptions, camera: Path | None, setup: C
 def _go_on(
     robot: str, options: args.RobotOptions, resume: Path, demands, out: Path | None, rapid: Path | None
 ) -> Outcome:
-    """Hand out what is left of a plan."""
+    """Return the remaining poses of a plan."""
     from tau_dyn.calibrate.poses import PathCheck, format_rapid_module, format_tour_csv, read_progress
     from tau_dyn.kinematics.workspace import build_machine
 

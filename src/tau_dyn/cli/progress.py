@@ -1,6 +1,6 @@
-"""What a command is doing: a line on a watched terminal with the time left, and log messages with `--verbose`.
+"""Progress of a command: a line on a terminal with the time left, and log messages with `--verbose`.
 
-A step's text says how far it is as `3 of 20` or `45 %`, its numbers before what changes with them: `trying 3 of 20: backlash`.
+A step's text states its progress as `3 of 20` or `45 %`, followed by the part that changes: `trying 3 of 20: backlash`.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from rich.console import Console
 from rich.text import Text
 
 LOGGER = logging.getLogger("tau_dyn")
-"""The library's logger; `--verbose` shows it, and a program that imports the library may."""
+"""The library's logger, shown with `--verbose`; a program that imports the library may show it as well."""
 MIN_SHOWN_S = 2.0
-"""A step that takes longer shows since when; shorter ones would flicker."""
+"""Duration above which a step shows its elapsed time [s]; shorter steps would flicker."""
 _SHARE = re.compile(r"(\d+) of (\d+)|(\d+(?:\.\d+)?) %")
 
 
 class StepClock:
-    """A step's text, how long it has taken, and how long it will take: at the pace since the step said first how far it is."""
+    """A step's text, its elapsed time, and its remaining time at the mean rate since the first reported progress."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        """Begin; `clock` gives seconds."""
+        """Start; `clock` returns seconds."""
         self._clock, self.text = clock, "..."
         self._began, self._pace = clock(), (0.0, 0.0)
-        self._first = self._last = (clock(), None)  # when it said so, and the share done
+        self._first = self._last = (clock(), None)  # time of a report, and the share done
 
     def tell(self, text: str) -> bool:
-        """Take a step's text; return whether another step began."""
+        """Update with a step's text; return whether a new step began."""
         now, share = self._clock(), _read_share(text)
         another = _name_step(text) != _name_step(self.text)
         if another:
@@ -43,26 +43,26 @@ class StepClock:
         return another
 
     def seconds_left(self) -> float | None:
-        """Return how long the step will take; None where it does not tell how far it is."""
+        """Return the remaining time of the step [s], or None if it does not report progress."""
         (start, done), (last, share) = self._first, self._last
         if done is None or share is None or not share > done:
             return None
         return max(0.0, (1 - share) * (last - start) / (share - done) - (self._clock() - last))
 
     def format(self) -> str:
-        """Return the line: the text, the time it has taken and the time left, once it takes long."""
+        """Return the line: the text, and for a long step the elapsed time and the time left."""
         spent, left = self._clock() - self._began, self.seconds_left()
         if spent < MIN_SHOWN_S:
             return self.text
         return f"{self.text}  ({spent:.0f} s{'' if left is None else f', {left:.0f} s left'})"
 
     def __rich__(self) -> Text:
-        """Return the line as it is now; a spinner asks each time it turns."""
+        """Return the current line, for each update of the spinner."""
         return Text(self.format())
 
 
 def _read_share(text: str) -> float | None:
-    """Return the share done that a text says."""
+    """Return the share done that a text states."""
     found = _SHARE.search(text)
     if found is None:
         return None
@@ -71,13 +71,13 @@ def _read_share(text: str) -> float | None:
 
 
 def _name_step(text: str) -> str:
-    """Return what stays of a text while its numbers count."""
+    """Return the part of a text that is constant during a step."""
     return re.split(r"\d", text, maxsplit=1)[0] if _SHARE.search(text) else text
 
 
 @contextmanager
 def show_progress(quiet: bool) -> Iterator[Callable[[str], None]]:
-    """Show the current step on stderr, if somebody watches; log every new one."""
+    """Show the current step on stderr if it is a terminal; log every new step."""
     clock = StepClock()
 
     def tell(text: str) -> None:
@@ -93,7 +93,7 @@ def show_progress(quiet: bool) -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def log_to_stderr(verbose: bool) -> Iterator[None]:
-    """Show what the library logs on stderr, with the time since the start; of a program that logs already it stays as it is."""
+    """Show the library's log messages on stderr, with the time since the start; existing log handlers are not changed."""
     if not verbose:
         yield
         return

@@ -1,12 +1,11 @@
-"""`--out FOLDER/`: everything that a run needs to be understood, repeated and compared, in a folder of its own.
+"""`--out FOLDER/`: a folder with all files that are needed to understand, repeat and compare a run.
 
-It holds `run.json` (`compare/run.py` says what), `result.json`, `report.html` and the command's own file under its usual name,
-such as `model.yaml`. What ends in `/`, has no suffix, or exists as a folder is a run folder; anything else is a file.
+It holds `run.json` (described in `compare/run.py`), `result.json`, `report.html` and the command's own file under its usual
+name, such as `model.yaml`. A path that ends in `/`, has no suffix, or exists as a folder is a run folder; any other is a file.
 
-A new folder appears whole or not at all. An existing one is written to where it is empty, or where it holds a run of the same
-command with the same options, of which nobody changed a file: then it is brought up to date. Nothing else is ever overwritten;
-only the demo, which has always put its files into the folder it was given, does so beside other files. `run.json` leaves a
-folder first and enters it last, so that a folder that holds one is complete.
+A new folder is created atomically. An existing folder is used if it is empty, or if it holds a run of the same command with the
+same options whose files were not changed; this run is replaced. No other files are overwritten. Only the demo writes into a
+folder with other files. `run.json` is removed first and written last, so that a folder with a `run.json` is complete.
 """
 
 from __future__ import annotations
@@ -34,12 +33,12 @@ _LIBRARIES = ("pin", "numpy", "scipy", "cvxpy", "clarabel", "pandas", "pyarrow",
 
 @dataclass
 class RunFolder:
-    """Where a run goes.
+    """The folder of a run.
 
     Attributes:
         path: The folder.
-        beside: Whether the files may go beside others.
-        started: Seconds since the epoch at which the run began.
+        beside: Whether the folder may hold other files.
+        started: Start of the run, in seconds since the epoch.
     """
 
     path: Path
@@ -47,15 +46,15 @@ class RunFolder:
     started: float = field(default_factory=time.time)
 
     def check(self, command: str, configuration: dict[str, Any], inputs: set[Path]) -> None:
-        """Refuse a folder that is not free for this run, before any work is done.
+        """Reject a folder that is not free for this run, before any work is done.
 
         Args:
-            command: Of the run.
+            command: The command of the run.
             configuration: Its options.
             inputs: Files that it reads, resolved.
 
         Raises:
-            InputError: It cannot be written, or it holds something that would be lost.
+            InputError: The folder cannot be written, or it holds files that would be lost.
         """
         near = next(p for p in (self.path.resolve(), *self.path.resolve().parents) if p.exists())
         if not near.is_dir():
@@ -76,7 +75,7 @@ class RunFolder:
         return {p.name for p in self.path.iterdir()} if self.path.is_dir() else set()
 
     def _kept_for(self, command: str, configuration: dict[str, Any]) -> str:
-        """Return why what the folder holds must stay; empty where it is an earlier run of the same."""
+        """Return the reason why the content of the folder must be kept; empty if it is an earlier run of the same call."""
         from tau_dyn.compare import RUN, is_run, read_run
 
         names = self._holds()
@@ -101,12 +100,12 @@ class RunFolder:
         return self.path / RUN, self.path / RESULT, self.path / REPORT
 
     def holds(self, path: Path) -> bool:
-        """Tell whether a file lies in this folder."""
-        return path.parent.resolve() == self.path.resolve()  # where it stands, not where a link there leads
+        """Return whether a file is in this folder."""
+        return path.parent.resolve() == self.path.resolve()  # the location of a link, not its target
 
     @contextmanager
     def writing(self) -> Iterator[Path]:
-        """Give an empty folder to write to; its files take their place when the block ends well.
+        """Yield an empty folder to write to; its files are moved to the destination if the block succeeds.
 
         Raises:
             InputError: The folder cannot be written.
@@ -131,7 +130,7 @@ class RunFolder:
 
     def record(self, staged: Path, command: str, *, command_line: str, configuration: dict[str, Any], inputs: dict[str, str],
                seed: int, exit_status: int) -> dict[str, Any]:  # fmt: skip
-        """Return what run.json says of a run whose other files are staged."""
+        """Return the content of run.json for a run whose other files are staged."""
         from tau_dyn.compare import RecordedRun
 
         return RecordedRun(
@@ -149,7 +148,7 @@ class RunFolder:
 
 
 def _moved_in(staged: Path, folder: Path) -> None:
-    """Move files into an existing folder: what an earlier run left goes first, run.json comes last."""
+    """Move files into an existing folder: files of an earlier run are removed first, run.json is moved last."""
     from tau_dyn.compare import RUN, is_run, read_run
 
     new = sorted((p.name for p in staged.iterdir()), key=lambda n: n == RUN)
@@ -158,27 +157,27 @@ def _moved_in(staged: Path, folder: Path) -> None:
         (folder / RUN).unlink()
         for name in {*before} - {*new}:
             left = folder / name
-            if Path(name).name == name and (left.is_symlink() or left.is_file()):  # no path elsewhere, no folder
+            if Path(name).name == name and (left.is_symlink() or left.is_file()):  # a file in this folder
                 left.unlink()
     for name in new:
         os.replace(staged / name, folder / name)
 
 
 def _settle(path: Path) -> None:
-    """Put a file on the disk, so that after a power cut no run is complete by its names and empty."""
+    """Flush a file to disk, so that after a power failure no run has complete names but empty files."""
     with path.open("rb") as file:
         os.fsync(file.fileno())
 
 
 def read_destination(text: str, own: str) -> Path | RunFolder:
-    """Return what `--out` names: a run folder, or the command's own file.
+    """Return the destination that `--out` names: a run folder, or the command's own file.
 
     Args:
-        text: As given.
-        own: `DIR` of a command that fills a folder, `FOLDER/` of one that has no file of its own, else that file's usual name.
+        text: The value of `--out`.
+        own: `DIR` for a command that fills a folder, `FOLDER/` for one without an own file, else the file's usual name.
 
     Raises:
-        ValueError: A file is named where a folder is written.
+        ValueError: A file is named, but the command writes a folder.
     """
     path = Path(text)
     slash = text.endswith(("/", os.sep))
@@ -190,13 +189,13 @@ def read_destination(text: str, own: str) -> Path | RunFolder:
 
 
 def collect_configuration(values: dict[str, Any]) -> dict[str, Any]:
-    """Return every option of a call with its value, defaults included; what only says where results go is left out."""
+    """Return every option of a call with its value, including defaults but not the destinations of results."""
     aside = ("out", "json", "report", "quiet", "verbose")
     return {name: to_plain(value) for name, value in sorted(values.items()) if name not in aside}
 
 
 def list_versions() -> dict[str, str]:
-    """Return the versions of everything that computes, and the platform."""
+    """Return the versions of the packages that compute, and the platform."""
     found = {"tau_dyn": __version__, "python": platform.python_version()}
     for name in _LIBRARIES:
         try:

@@ -24,16 +24,16 @@ _HERE = ("127.0.0.1", "localhost", "::1")
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class Contents:
-    """What the window shows beside the robot, and where it opens.
+    """Contents of the window in addition to the robot, and its address.
 
     Attributes:
         simulated: The same motion simulated, as a ghost (default: its references)
         columns: Column map of a foreign log
         result: Results to show: --json of diagnose, workspace, accuracy, calibrate, modes, identify
-        compute: Work out what a result lacks: points of a workspace, nominal errors
+        compute: Compute missing data of a result: points of a workspace, nominal errors
         cloud: Points x y z to show, such as workspace --out writes
-        host: address; 127.0.0.1: this computer only
-        port: port, or the next free one
+        host: Address; 127.0.0.1: this computer only
+        port: Port, or the next free one
         no_shadows: Draw no shadows; faster without a graphics card
     """
 
@@ -57,11 +57,11 @@ def view(
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.FolderOutput = args.FolderOutput(),
 ) -> Outcome:
-    """The robot in the browser: sliders for its actuated joints, playback of a log, results where they live.
+    """The robot in the browser: sliders for its actuated joints, playback of a log, results on the affected parts.
 
     Args:
         log: A log to play
-        seconds: Close after this long
+        seconds: Close after this time
     """
     with show_progress(output.quiet) as step:
         viewer = open_window(robot, log, contents, robot_options, step)
@@ -81,7 +81,7 @@ def view(
 def open_window(
     robot: str, log: Path | None, contents: Contents, options: args.RobotOptions, step: Callable[[str], None]
 ):
-    """Return the window with all that the arguments name in it; nothing is opened before all of it is read."""
+    """Return the window with all contents that the arguments name; all files are read before it opens."""
     from tau_dyn.log import read_log
     from tau_dyn.view import Viewer, build_playback, read_cloud, read_result
 
@@ -127,7 +127,7 @@ def see(
     ] = None,
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """Measured poses from images of a plate on the robot, by one camera or two; lenses are found along.
+    """Measured poses from images of a plate on the robot, by one camera or two; lenses are calibrated at the same time.
 
     Args:
         images: Images of the (first) camera, or folders of them
@@ -135,12 +135,12 @@ def see(
         square: Side of a square [m]; it gives the scale
         second: Images of a second camera at the same moments
         positions: Robot positions q_J, with a column image or in the images' order; with --times a log with t
-        times: Times t [s] of images of a moving robot, as positions
-        extra: Images to find the lens only, with the plate held by hand
-        second_extra: The same for the second camera
-        lens: Brown (k1 k2 p1 p2), brown3 (and k3), radial (k1 k2) or none
+        times: Times t [s] of images of a moving robot, matched like positions
+        extra: Images used only to calibrate the lens, with the plate held by hand
+        second_extra: Such images of the second camera
+        lens: Lens model: brown (k1 k2 p1 p2), brown3 (and k3), radial (k1 k2) or none
         cameras: Known cameras, with uncertainty
-        save_cameras: Write the cameras found here
+        save_cameras: Write the estimated cameras here
     """
     with show_progress(output.quiet) as step:
         step("loading")

@@ -1,4 +1,4 @@
-"""A model back in the file formats of other programs: URDF (Pinocchio, Drake, ROS), MJCF (MuJoCo), FMU (Modelica)."""
+"""Export of a model to file formats of other programs: URDF (Pinocchio, Drake, ROS), MJCF (MuJoCo), FMU (Modelica)."""
 
 from lazy_loader import attach_stub
 

@@ -1,16 +1,16 @@
-"""What other programs' robot files can carry of a model: each link's inertia, and one law of each joint.
+"""The part of a model that robot files of other programs can carry: each link's inertia, and one law of each joint.
 
     tau = offset + coulomb sign(v) + viscous v + armature a,     reported as (1 + gain_error) tau
 
-URDF knows no offset and no gain, MJCF knows both (an actuator's gain and bias), so Coulomb friction that differs by direction is
+URDF has no offset and no gain. MJCF has both (an actuator's gain and bias), so Coulomb friction that differs by direction is
 exact in MJCF: its mean, and half its difference as an offset. Viscous friction is written as the mean of both directions. Other
-effects are left out, and said, or stand elsewhere in a format (`mjcf_effects.py`). Base parameters alone are what data determine
-(Khalil & Dombre 2002, ch. 9). Where only a combination is identified, the file holds one of many splits with the same forces.
+effects are left out and reported, or use other elements of a format (`mjcf_effects.py`). Data determine only the base
+parameters (Khalil & Dombre 2002, ch. 9). If only a combination is identified, the file holds one of many splits with the same
+forces.
 
-What it costs that a file cannot carry all of a model: the force error with and without, on the logs that the model names.
-
-A model file names its held-out logs and their hashes. On these both predictions are compared with the measured force, filtered
-and masked as `identify` does it. Where it names training logs alone, what is left out is measured as a force, over their motion.
+The module also computes the cost of the omissions: the force error with and without them, on the logs that the model names.
+A model file names its held-out logs and their hashes. On these logs both predictions are compared with the measured force,
+filtered and masked as in `identify`. If the file names training logs only, the cost is the omitted force along their motion.
 """
 
 from __future__ import annotations
@@ -41,25 +41,25 @@ from tau_dyn.parameters import Parameter
 from tau_dyn.robot import LinkInertia
 from tau_dyn.version import __version__
 
-_BY_JOINT = (SymmetricFriction, AsymmetricFriction, Armature)  # what every format knows
-_OF_DRIVES = (CoulombAsymmetry, TorqueOffset, DriveGain)  # what an actuator's gain and bias say
+_BY_JOINT = (SymmetricFriction, AsymmetricFriction, Armature)  # supported by every format
+_OF_DRIVES = (CoulombAsymmetry, TorqueOffset, DriveGain)  # expressed by an actuator's gain and bias
 
 
 @dataclass(frozen=True)
 class Exported:
-    """A robot file's text and what it does not say.
+    """The text of a robot file, and the parts of the model that it lacks.
 
     Attributes:
         text: The file.
-        left_out: What of the model the format cannot carry, a sentence each.
+        left_out: Parts of the model that the format cannot carry, one sentence each.
         carried: The model with the values that the file has.
         nominal: Inertial parameters that no data excited; they have their nominal values.
-        split: Inertial parameters of which only combinations are identified; their values are one of many splits of these
+        split: Inertial parameters that are identified only in combinations; their values are one of many splits of these
             combinations that give the same forces.
-        meshes: Files that the text names, by their paths from its folder.
-        callback: A Python module for effects that the format has no word for and its program can be told; empty for none.
-        by_callback: What it holds, a sentence each.
-        told: The model with the values of file and callback, where there is one.
+        meshes: Mesh files of the text, by their paths relative to its folder.
+        callback: Text of a Python module that adds effects which the format lacks to the program; empty without such effects.
+        by_callback: Effects in the callback, one sentence each.
+        told: The model with the values of file and callback; None without a callback.
     """
 
     text: str
@@ -74,7 +74,7 @@ class Exported:
 
 
 class BodyInertia(NamedTuple):
-    """A link's inertia as files write it: mass [kg], centre (3,) [m], inertia about the centre (3, 3) [kg m^2]."""
+    """A link's inertia as in robot files: mass [kg], centre (3,) [m], inertia about the centre (3, 3) [kg m^2]."""
 
     mass: float
     centre: np.ndarray
@@ -95,11 +95,11 @@ def build_body(link: LinkInertia, model: Model) -> BodyInertia:
 
 
 def build_carried_model(model: Model, *, drives: bool, more: Collection[Effect] = ()) -> Model:
-    """Return the model with the values that a file carries; what it leaves out is zero.
+    """Return the model with the values that a file carries; omitted parameters are zero.
 
     Args:
         model: The model.
-        drives: Whether the format knows a drive's gain and a constant force.
+        drives: Whether the format has a drive's gain and a constant force.
         more: Further effects of the model that the file carries.
     """
     values = {n: 0.0 for e in _list_unknown(model, drives) if e not in more for n in e.parameters.names}
@@ -109,11 +109,11 @@ def build_carried_model(model: Model, *, drives: bool, more: Collection[Effect] 
 
 
 def raise_moments(inertia: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return principal moments (3,) and axes (3, 3), in columns, of the next inertia that a body may have.
+    """Return principal moments (3,) and axes (3, 3), in columns, of the nearest physically consistent inertia.
 
-    None where the inertia (3, 3) is a body's: its mass spreads by `s = trace / 2 - moment >= 0` along each axis, so no moment is
-    negative or above the sum of the others. Estimates may miss that, by the solver's rounding or by more, and programs that
-    simulate take nothing else.
+    The result is `None` if the inertia (3, 3) is consistent. The second moment of mass along each axis must satisfy
+    `s = trace / 2 - moment >= 0`, so that no moment is negative or above the sum of the others. Estimates may violate that, by
+    the solver's rounding or by more, and simulators accept only consistent inertias.
     """
     moments, axes = np.linalg.eigh(inertia)
     spread = moments.sum() / 2 - moments
@@ -129,27 +129,27 @@ _MARGIN = 1e-9  # relative, far above the rounding of a program's own check
 
 
 def _list_unknown(model: Model, drives: bool) -> list[Effect]:
-    """Return the effects that a format does not know."""
+    """Return the effects that a format does not support."""
     known = _BY_JOINT + (_OF_DRIVES if drives else ())
     return [effect for effect in model.effects if not isinstance(effect, known)]
 
 
 def _list_pairs(model: Model, drives: bool) -> list[tuple[str, str, list[str]]]:
-    """Return joint, part of friction and both directions' names where a file has their mean instead."""
+    """Return joint, part of friction and both parameter names, for each pair of directions that a file replaces by its mean."""
     parts = ("viscous",) if drives else ("coulomb", "viscous")
     rows = [(j, p, [f"{j}.{p}_{side}" for side in ("pos", "neg")]) for j in model.robot.actuated for p in parts]
     return [row for row in rows if all(name in model.effect_parameters for name in row[2])]
 
 
 class CarriedLaw(NamedTuple):
-    """A joint's own force in a file; see the module.
+    """The law of a joint in a file; see the module.
 
     Attributes:
-        coulomb: [N or N m].
-        viscous: [N s/m or N m s/rad].
-        offset: [N or N m].
-        armature: [kg or kg m^2].
-        gain: Reported over true force.
+        coulomb: Coulomb friction [N or N m].
+        viscous: Viscous friction [N s/m or N m s/rad].
+        offset: Constant force [N or N m].
+        armature: Drive inertia [kg or kg m^2].
+        gain: Reported force divided by true force.
     """
 
     coulomb: float
@@ -177,7 +177,7 @@ def read_joint_law(carried: Model, joint: str) -> CarriedLaw:
 
 
 def list_omissions(model: Model, *, drives: bool) -> tuple[str, ...]:
-    """Return what of a model a file does not carry, a sentence each; see `build_carried_model`."""
+    """Return the parts of a model that a file does not carry, one sentence each; see `build_carried_model`."""
     said = [
         f"effect {effect.name} of {', '.join(effect.joints)} is left out: the format does not know it"
         for effect in _list_unknown(model, drives)
@@ -186,7 +186,7 @@ def list_omissions(model: Model, *, drives: bool) -> tuple[str, ...]:
 
 
 def list_means(model: Model, *, drives: bool) -> tuple[str, ...]:
-    """Return where a file has the mean of both directions' friction, a sentence each."""
+    """Return one sentence for each friction parameter that a file holds only as the mean of both directions."""
     said = []
     for joint, part, both in _list_pairs(model, drives):
         a, b = (model.effect_parameters[n].value for n in both)
@@ -211,7 +211,7 @@ def _inertial(model: Model) -> list[Parameter]:
 
 
 def format_header(model: Model, left_out: Sequence[str]) -> str:
-    """Return what a file says about itself: no two hyphens in a row, which XML comments cannot hold, no control characters."""
+    """Return the header of a file, without double hyphens, which XML comments cannot hold, and without control characters."""
     lines = [f"Written by tau_dyn {__version__} from {model.robot.source}."]
     if kept := list_nominal_parameters(model):
         lines.append(f"Nominal values, not identified: {', '.join(kept)}.")
@@ -226,12 +226,12 @@ def format_header(model: Model, left_out: Sequence[str]) -> str:
 
 
 def describe_price(model: Model, versions: Sequence[Model], folder: Path) -> str:
-    """Return one sentence about what a file costs that holds less than `model`.
+    """Return one sentence about the loss of accuracy in a file that lacks a part of `model`.
 
     Args:
         model: The model, with the provenance of its file.
-        versions: What the file carries of it; then, where there is a callback, what both carry.
-        folder: Where the model file lies; its logs are looked for there and where the program runs.
+        versions: The model that the file carries; then, if there is a callback, the model that both carry.
+        folder: Folder of the model file; its logs are searched for there and in the working directory.
     """
     try:
         held, trained = (_find_logs(model, use, folder) for use in ("held_out", "trained_on"))
@@ -254,7 +254,7 @@ _WHAT = ("what the file carries", "the callback beside it")
 
 
 def _describe_force(model: Model, carried: Model, logs: Sequence[Log]) -> str:
-    """Return the RMS of the force that is left out, joint by joint."""
+    """Return a sentence with the RMS of the omitted force by joint."""
     lost = compute_lost_force(model, carried, logs)
     rows = zip(model.robot.actuated, lost, model.robot.force_units, strict=True)
     return ", ".join(f"{x:.3g} {unit} at {joint}" for joint, x, unit in rows)
@@ -267,7 +267,7 @@ def compute_held_out_errors(models: Sequence[Model], logs: Sequence[Log]) -> lis
 
 
 def compute_lost_force(model: Model, carried: Model, logs: Sequence[Log]) -> np.ndarray:
-    """Return the RMS (na,) [N or N m] of the force that is left out, along the logs' motion."""
+    """Return the RMS (na,) [N or N m] of the omitted force along the logs' motion."""
     change = model.parameters.values - carried.parameters.values
     rows = [(run.W @ change, run.usable) for run in build_regression(model, logs).runs]
     lost, usable = (np.concatenate(part) for part in zip(*rows, strict=True))
@@ -275,7 +275,7 @@ def compute_lost_force(model: Model, carried: Model, logs: Sequence[Log]) -> np.
 
 
 def _find_logs(model: Model, use: str, folder: Path) -> list[Log]:
-    """Return a model's logs where all of them are here and are unchanged, each read by its column map."""
+    """Return a model's logs, each read by its column map; an empty list if one is missing or has changed."""
     found = []
     for row in model.provenance.get(use, []):
         log = _find_log(row, folder)
@@ -286,12 +286,12 @@ def _find_logs(model: Model, use: str, folder: Path) -> list[Log]:
 
 
 def _find_log(row: Mapping[str, Any], folder: Path) -> Log | None:
-    """Return the log of a row of provenance, or None where no file here has its hash."""
+    """Return the log of a row of provenance, or `None` if no file has its hash."""
     columns = row.get("columns") if isinstance(row, Mapping) else None
     if not isinstance(row, Mapping) or not isinstance(row.get("path"), str) or not isinstance(columns, dict | None):
         return None
     map_ = None if columns is None else ColumnMap.from_dict(columns, "the model's column map")
-    several = map_ is not None and bool(map_.files)  # whose hash is that of all their bytes
+    several = map_ is not None and bool(map_.files)  # the hash of a log of several files covers all their bytes
     name = Path(row["path"])
     for path in dict.fromkeys((name, folder / name, folder / name.name)):
         if path.is_file() and (several or compute_sha256(path) == row.get("sha256")):

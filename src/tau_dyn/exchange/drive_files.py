@@ -1,11 +1,12 @@
-"""Drives of a model as programs that train controllers take them: BAM, mjlab, Isaac Lab.
+"""Drives of a model in the formats of programs that train controllers: BAM, mjlab, Isaac Lab.
 
     friction = coulomb sign(v) + viscous v [+ stribeck sign(v) exp(-(|v| / speed)^power)],   armature a
 
 with the means of both directions. BAM has the Stribeck term (its model m2; without it m1). Isaac Lab has breakaway friction, the
-sum of Coulomb and Stribeck, without a speed. Forces and speeds have the robot's limits; delays come from fitted actuators. What
-no data here determine is left out, and said: BAM's motor (`actuator`, `kt`, `R`), gains of position control, stall torques.
-BAM's friction by load counts the motor's torque and the load's, ours what the reducer transmits, so it is no parameter there.
+sum of Coulomb and Stribeck, without a speed. Forces and speeds have the robot's limits; delays come from fitted actuators.
+Values that these data do not determine are left out and reported: BAM's motor (`actuator`, `kt`, `R`), gains of position
+control, stall torques. Load-dependent friction is not exported to BAM: there it depends on the torques of motor and load, here
+on the torque that the reducer transmits.
 Reference: Duclusaud, Passault et al. 2025 (BAM); formats of Rhoban/bam, mjlab 1.6 and Isaac Lab 2.3 (`viscous_friction`).
 """
 
@@ -37,16 +38,16 @@ DriveTarget = Literal["bam", "mjlab", "isaaclab"]
 
 @dataclass(frozen=True)
 class Drive:
-    """What is known of one drive, in SI units; None for what is not.
+    """Known values of one drive in SI units; unknown ones are None.
 
     Attributes:
         friction: Coulomb friction [N or N m].
-        viscous: [N s/m or N m s/rad].
-        armature: [kg or kg m^2].
+        viscous: Viscous friction [N s/m or N m s/rad].
+        armature: Drive inertia [kg or kg m^2].
         effort: Largest force [N or N m].
         speed: Largest speed [m/s or rad/s].
-        delay: Of commands [s].
-        stribeck: Peak, its speed and its power; None without one.
+        delay: Delay of commands [s].
+        stribeck: Stribeck peak, its speed and its power, or None.
     """
 
     friction: float | None
@@ -61,15 +62,15 @@ class Drive:
 def build_drive_files(
     model: Model, target: DriveTarget, delays: Mapping[str, float] | None = None
 ) -> dict[str, Exported]:
-    """Return a target's files of a model's drives: one for all, named '', or one a joint for BAM.
+    """Return a target's files of a model's drives: one for all, named '', or one per joint for BAM.
 
     Args:
         model: The model.
-        target: Which program.
+        target: The program.
         delays: Delay of each joint's commands [s], as `tau-dyn actuators` fits it.
 
     Raises:
-        InputError: The target has no place for such joints.
+        InputError: The target does not support such joints.
     """
     known = tuple(e for e in model.effects if isinstance(e, Stribeck) and target != "mjlab")
     carried = build_carried_model(model, drives=False, more=known)
@@ -111,7 +112,7 @@ def build_drive_files(
 def _read_drives(
     model: Model, carried: Model, delays: Mapping[str, float], peaks: tuple[Stribeck, ...]
 ) -> tuple[dict[str, Drive], list[str]]:
-    """Return each joint's drive, and which values no target would take."""
+    """Return each joint's drive, and sentences about values that are negative or unknown."""
     robot, found, odd = model.robot, {}, []
     for joint, effort, speed in zip(robot.actuated, robot.effort_limit, robot.velocity_limit, strict=True):
         law = read_joint_law(carried, joint)
@@ -184,7 +185,7 @@ def _write_isaaclab(drives: Mapping[str, Drive], about: str) -> str:
 
 
 def _format_group(name: str, kind: str, delay: float | None, drives: Mapping[str, Drive]) -> str:
-    """Return one configuration of drives with one delay, each value by joint where it is known."""
+    """Return one configuration of drives with a common delay; values are given by joint if they are known."""
     columns = {
         "effort_limit_sim": {j: d.effort for j, d in drives.items()},
         "velocity_limit_sim": {j: d.speed for j, d in drives.items()},
@@ -204,7 +205,7 @@ def _format_group(name: str, kind: str, delay: float | None, drives: Mapping[str
 
 
 def _wrap(text: str) -> str:
-    """Return sentences as the lines of a docstring, of characters that can be printed."""
+    """Return sentences as the lines of a docstring, in printable characters."""
     plain = "".join(c if c.isprintable() else "?" for c in text)
     return plain.replace("\\", "/").replace('"""', "'''").replace(". ", ".\n")
 

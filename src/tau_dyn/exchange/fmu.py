@@ -1,7 +1,7 @@
-"""A model as an FMU for co-simulation (FMI 2.0): the identified robot in a Modelica tool, moving as our simulator moves it.
+"""A model as an FMU for co-simulation (FMI 2.0): the identified robot in a Modelica tool, with the motion of our simulator.
 
-Inputs are the actuators' forces, held during a communication step; outputs are positions, velocities and the tool's place. The
-archive holds the C source, a library for this kind of computer, and the description. It asks for nothing of ours when it runs.
+Inputs are the actuators' forces, held during a communication step; outputs are positions, velocities and the tool's position.
+The archive holds the C source, a library for this kind of computer, and the description. It runs without this package.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from tau_dyn.version import __version__
 
 
 def get_library_path(identifier: str) -> str:
-    """Return where FMI 2.0 wants this computer's library in the archive."""
+    """Return the path of this computer's library in the archive, as FMI 2.0 requires it."""
     if sys.platform == "win32":
         return f"binaries/win64/{identifier}.dll"
     if sys.platform == "darwin":
@@ -41,17 +41,17 @@ def get_library_path(identifier: str) -> str:
     return f"binaries/{'linux64' if machine in ('x86_64', 'amd64') else f'{machine}-linux'}/{identifier}.so"
 
 
-_WHEN = (1980, 1, 1, 0, 0, 0)  # the same model is the same file
+_WHEN = (1980, 1, 1, 0, 0, 0)  # fixed date: equal models give equal files
 
 
 @dataclass(frozen=True, eq=False)
 class ExportedFmu:
-    """An FMU and what it does not say.
+    """An FMU, and the parts of the model that it lacks.
 
     Attributes:
         content: The file's bytes.
-        left_out: What of the model it cannot carry, a sentence each.
-        nominal: Inertial parameters that no data determined and that stand at their nominal values.
+        left_out: Parts of the model that it cannot carry, one sentence each.
+        nominal: Inertial parameters that no data determined; they have their nominal values.
         difference: Largest difference of its equations from the simulator's, relative to the largest value.
     """
 
@@ -65,7 +65,7 @@ def build_fmu(model: Model) -> ExportedFmu:
     """Return a model as an FMU.
 
     Raises:
-        InputError: Something of the model cannot be written in C, or the C compiler fails.
+        InputError: A part of the model cannot be written in C, or the C compiler fails.
     """
     left_out = [
         f"effect {e.name} is left out: it feels {why}, which a state alone does not give"
@@ -111,7 +111,7 @@ def _zipped(files: dict[str, bytes]) -> bytes:
 
 
 def _describe(model: Model) -> str:
-    """Return what an FMU says of itself, in one paragraph."""
+    """Return the description of an FMU in one paragraph."""
     leaning = list_nominal_parameters(model)
     effects = ", ".join(effect.name for effect in model.effects) or "none"
     text = f"{model.robot.name}, written by tau_dyn {__version__} from {model.robot.source}. Effects: {effects}."
@@ -119,7 +119,7 @@ def _describe(model: Model) -> str:
 
 
 def _page(model: Model, about: str, left_out: list[str], names: list[str]) -> str:
-    """Return what the FMU says of itself to a person."""
+    """Return the documentation page of the FMU."""
     items = "".join(f"<li>{escape(sentence)}</li>" for sentence in left_out) or "<li>nothing</li>"
     return (
         f"<!doctype html><meta charset='utf-8'><title>{escape(model.robot.name)}</title><h1>{escape(model.robot.name)}</h1>"

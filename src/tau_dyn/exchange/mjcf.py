@@ -1,10 +1,10 @@
 """A model's robot as MJCF for MuJoCo: nested bodies, loops as `<connect>` between sites, motors, home as a keyframe.
 
 MuJoCo's own URDF reader drops loops and drive inertia. Here every movable joint becomes a body with the model's inertia
-(links fixed to it merged in), `armature`, `damping` and `frictionloss`; a drive's gain and constant force stand at its actuator,
-other effects where `mjcf_effects.py` says.
-Loops are tied at sites, which unlike ties between bodies do not depend on the pose that the file is compiled at. Bodies without
-mass get 1e-9 kg, which MuJoCo demands. Meshes are written as binary STL, since MuJoCo reads no Collada.
+(links fixed to it merged in), `armature`, `damping` and `frictionloss`. A drive's gain and constant force are attributes of its
+actuator; `mjcf_effects.py` describes the elements of other effects.
+Loops are constrained at sites: unlike constraints between bodies, these do not depend on the pose at which the file is compiled.
+Bodies without mass get 1e-9 kg, since MuJoCo requires a mass. Meshes are written as binary STL, since MuJoCo reads no Collada.
 """
 
 from __future__ import annotations
@@ -43,15 +43,15 @@ from tau_dyn.model import Model
 from tau_dyn.robot import Mesh, Visual, list_missing_meshes, read_visuals
 
 _STIFF = {"solref": f"{2 * TIMESTEP_S:g} 1", "solimp": "0.9999 0.99999 0.001"}
-"""Loops and dry friction as hard as MuJoCo takes them: it corrects no faster than over two steps, and an impedance of 1 - 1e-5
-leaves so little of a loop's acceleration. Its defaults, 20 ms and 0.9, open loops by millimetres."""
+"""Stiffest loops and dry friction that MuJoCo accepts: its shortest time constant is two steps, and an impedance of 1 - 1e-5
+leaves 1e-5 of a loop's acceleration. With the defaults, 20 ms and 0.9, loops open by millimetres."""
 
 _SEEN_ONLY = {"contype": "0", "conaffinity": "0", "mass": "0"}
 _MAX_STL_FACES = 200_000
-"""Triangles that MuJoCo takes from an STL file."""
+"""Largest number of triangles in an STL file for MuJoCo."""
 _LIGHT = 1e-9  # kg, of bodies without mass
 _MIN_INERTIAL = {"pos": "0 0 0", "mass": f"{_LIGHT:g}", "diaginertia": "1e-12 1e-12 1e-12"}
-_ROUNDED = 1e-6  # relative, of an interior-point solver's inertia
+_ROUNDED = 1e-6  # relative, rounding of an inertia from an interior-point solver
 
 
 def build_mjcf(model: Model, meshes: str = "") -> Exported:
@@ -59,7 +59,7 @@ def build_mjcf(model: Model, meshes: str = "") -> Exported:
 
     Args:
         model: The model.
-        meshes: With what the names of meshes' files begin, which stand beside the MJCF file; without it there are none.
+        meshes: Prefix of the names of mesh files, which are located next to the MJCF file; without it no meshes are written.
 
     Raises:
         InputError: A joint has more than one degree of freedom, a drive has a scale, or the base floats.
@@ -110,7 +110,7 @@ def build_mjcf(model: Model, meshes: str = "") -> Exported:
 
 
 def _bodies(world: Element, model: Model, joints: list[Joint], places: EffectPlaces) -> tuple[list[Element], list[str]]:
-    """Return the bodies by joint index less one, each inside its parent's, and what is to be said of their inertias."""
+    """Return the bodies by joint index minus one, each inside its parent's, and sentences about changed inertias."""
     robot, found, raised = model.robot, [world], []
     inertias = {link.joint_id: link for link in robot.links}
     names = {f.parentJoint: f.name for f in reversed(robot.model.frames.tolist()) if f.type == pin.FrameType.BODY}
@@ -132,7 +132,7 @@ def _bodies(world: Element, model: Model, joints: list[Joint], places: EffectPla
 
 
 def _inertia(inertia: np.ndarray, link: str) -> tuple[dict[str, str], str]:
-    """Return an inertia's attributes, by its axes where moments are raised to a body's, and a sentence where by much."""
+    """Return an inertia's attributes, and a sentence if the inertia had to be changed to a physically consistent one."""
     admitted = raise_moments(inertia)
     if admitted is None:
         return {"fullinertia": _numbers(inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])}, ""
@@ -163,9 +163,9 @@ def _joint(model: Model, joint: Joint, places: EffectPlaces) -> dict[str, str]:
 
 
 def _add_weights(bodies: list[Element], model: Model) -> None:
-    """Give mass that only gravity feels a body of its own with hardly any inertia, which gravity pulls so much more.
+    """Add a body of negligible inertia for each mass on which only gravity acts; a negative `gravcomp` scales its weight.
 
-    MuJoCo looks at `gravcomp` only where some body has one above zero; its carrier gets one that is too small to matter.
+    MuJoCo evaluates `gravcomp` only if some body has a positive value, so the carrier gets a negligible one.
     """
     robot = model.robot
     for name in robot.parameters.names:
@@ -182,7 +182,7 @@ def _add_weights(bodies: list[Element], model: Model) -> None:
 def _draw(
     root: Element, visuals: Sequence[Visual], bodies: list[Element], prefix: str
 ) -> tuple[dict[str, bytes], list[str]]:
-    """Add what the robot's file draws, which touches nothing; return the meshes' files and what is left out."""
+    """Add the visuals of the robot file, without contact; return the mesh files and sentences about omitted visuals."""
     files: dict[str, bytes] = {}
     names: dict[Mesh, str] = {}
     left = 0
@@ -252,7 +252,7 @@ def _mark_tool(model: Model, bodies: list[Element]) -> None:
 
 
 def _tie(root: Element, model: Model, bodies: list[Element]) -> None:
-    """Add the loops: a site at each end, and a tie between them."""
+    """Add the loops: a site at each end, and a constraint between them."""
     if not model.robot.loops:
         return
     equality = SubElement(root, "equality")

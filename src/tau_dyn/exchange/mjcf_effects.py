@@ -1,24 +1,24 @@
-"""Where a model's effects stand for MuJoCo: in elements of the file that are exactly their laws, else in a callback beside it.
+"""A model's effects in MuJoCo: elements of the file that are exactly their laws, else a callback in addition to the file.
 
     quadratic_drag      second coefficient of a joint's `damping`                       MuJoCo 3.7
-    cyclic_ripple, cogging  passive `dcmotor` with `cogging`, one a harmonic                4.0
+    cyclic_ripple, cogging  passive `dcmotor` with `cogging`, one per harmonic              4.0
     lugre, hysteresis   passive `dcmotor` with `lugre`, Dahl's law: no damping, static = Coulomb    4.0
     reducer_coupling    `tendon/fixed` of joints in one chain with armature, damping, frictionloss  3.3
-    gravity_direction   `option/gravity`, in which forces at rest are linear
-    delay               `sensor/actuatorfrc` that shows a drive's force so much later, from one step up      3.5
+    gravity_direction   `option/gravity`; forces at rest are linear in it
+    delay               `sensor/actuatorfrc` that shows a drive's force with a delay of at least one step    3.5
 
-What the installed MuJoCo is too old for goes to the callback, where the state determines it. What is lost feels a history, a
-load of a loop that is solved numerically or a temperature, or distorts the recording alone and leaves the motion as it is. A late
-sensor shows the force at the joint: what a drive reports, less its constant and by its gain.
+Effects that the installed MuJoCo does not support go to the callback if the state determines them. Effects are lost if they
+depend on a history, on a load of a loop that is solved numerically or on a temperature, or if they distort only the recording
+and not the motion. A delayed sensor shows the force at the joint: the reported force without the drive's constant and gain.
 
-Effects of a state as a Python module that MuJoCo calls in each step; it needs NumPy and MuJoCo alone.
+The callback is a Python module that MuJoCo calls in each step; it needs only NumPy and MuJoCo. The force of its effects is
 
-    f = middle + half s,   -1 <= s <= 1,   s = sign(v) where the joint moves
+    f = middle + half s,   -1 <= s <= 1,   s = sign(v) if the joint moves
 
-with `lower` and `upper` the effects' forces at sign -1 and +1 as the simulator asks for them, `middle` their mean and `half` half
-their difference. `middle` is a passive force. `half` comes upon the joint's `frictionloss`, so that MuJoCo's solver finds who
-sticks. Where the sum pushes forwards, the force at the current direction is taken, as in `simulate/forces.py`. Loads take the
-acceleration of the last step.
+with `lower` and `upper` the effects' forces at sign -1 and +1 as in the simulator, `middle` their mean and `half` half their
+difference. `middle` is a passive force. `half` is added to the joint's `frictionloss`, so that MuJoCo's solver determines which
+joints stick. If the sum drives the motion, the force at the current direction is used, as in `simulate/forces.py`. Loads use
+the acceleration of the last step.
 """
 
 from __future__ import annotations
@@ -70,11 +70,11 @@ _AGREEMENT = 1e-9
 
 
 def write_mujoco_callback(model: Model) -> str:
-    """Return a module with `install(model)`, for an MJCF of the same robot.
+    """Return the text of a module with `install(model)`, for an MJCF of the same robot.
 
     Args:
-        model: The robot with the effects, at the values, that the MJCF lacks. None of them may feel a history or add to the
-            mass matrix.
+        model: The robot with the effects and values that the MJCF lacks. They may not depend on a history or add to the mass
+            matrix.
 
     Raises:
         InputError: An effect cannot be written as expressions of a state, or its expressions differ from the simulator.
@@ -106,7 +106,7 @@ def write_mujoco_callback(model: Model) -> str:
 
 
 def _compare_with_simulator(model: Model, part: TracedFunction, loops: Loops | None) -> None:
-    """Refuse expressions that differ from the simulator's bounds at random states."""
+    """Reject expressions that differ from the simulator's bounds at random states."""
     q, v, a = draw_random_states(model, _STATES, np.random.default_rng(_SEED))
     known = {"q": q, "v": v, "a": a}
     if loops is not None:
@@ -183,8 +183,8 @@ def install(model):
 
 
 TIMESTEP_S = 5e-4
-"""Time step that the file asks for [s]: MuJoCo's step is of first order, and errs by less than 0.1 % in 0.5 s of free motion,
-friction that stops joints included; 1 ms would leave 0.11 %."""
+"""Time step in the file [s]: MuJoCo's integrator is of first order; its error is below 0.1 % in 0.5 s of free motion, friction
+that stops joints included. With 1 ms it is 0.11 %."""
 
 _SINCE = {
     QuadraticDrag: (3, 7),
@@ -196,20 +196,20 @@ _SINCE = {
     GravityDirection: (3, 3),
     Delay: (3, 5),
 }
-"""First MuJoCo that reads what stands for an effect, by its changelog: `damping` with three numbers, `dcmotor` without a motor
-constant, delays; and what the project's oldest MuJoCo has."""
+"""First MuJoCo that reads the element of an effect, by its changelog: `damping` with three numbers, `dcmotor` without a motor
+constant, delays; 3.3 is the project's oldest MuJoCo."""
 
 
 @dataclass(frozen=True, eq=False)
 class EffectPlaces:
-    """Where a model's effects stand.
+    """The distribution of a model's effects over file and callback.
 
     Attributes:
-        native: Effects that elements of the file are, beside each joint's law.
+        native: Effects with an element in the file, in addition to each joint's law.
         carried: The model with the file's values.
-        callback: The callback's text; empty where none is needed.
-        said: What the callback holds, a sentence each.
-        lost: What neither holds, a sentence each.
+        callback: The callback's text; empty if it is not needed.
+        said: Effects in the callback, one sentence each.
+        lost: Effects in neither, one sentence each.
         known: The model with the values of file and callback.
     """
 
@@ -222,7 +222,7 @@ class EffectPlaces:
 
 
 def place_effects(model: Model) -> EffectPlaces:
-    """Return where each effect of a model stands for MuJoCo."""
+    """Return the distribution of a model's effects over MJCF file and callback."""
     native = tuple(effect for effect in model.effects if _is_native(effect, model))
     carried = build_carried_model(model, drives=True, more=native)
     rest = model.effect_parameters.values - carried.effect_parameters.values
@@ -240,7 +240,7 @@ def place_effects(model: Model) -> EffectPlaces:
 
 
 def _sort_effects(model: Model, change: dict[str, float]) -> tuple[list[Effect], dict[Effect, str]]:
-    """Return the effects that a callback can hold of what the file lacks, and why it cannot hold the others."""
+    """Return the effects missing in the file that a callback can hold, and the reasons why it cannot hold the others."""
     missing = dict(list_unsupported_effects(model))
     held, lost = [], {}
     for effect in model.effects:
@@ -258,7 +258,7 @@ def _sort_effects(model: Model, change: dict[str, float]) -> tuple[list[Effect],
 
 
 def _try_callback(model: Model, effects: list[Effect], change: dict[str, float]) -> tuple[str, str]:
-    """Return the callback of effects at the values that the file lacks, and why there is none."""
+    """Return the callback of effects at the values that the file lacks, or '' and the reason."""
     kept = model.only(effects)
     try:
         return write_mujoco_callback(kept.with_values({n: change[n] for n in kept.effect_parameters.names})), ""
@@ -267,7 +267,7 @@ def _try_callback(model: Model, effects: list[Effect], change: dict[str, float])
 
 
 def get_mujoco_version() -> tuple[int, ...]:
-    """Return the installed MuJoCo's version, the oldest that the project takes where there is none."""
+    """Return the version of the installed MuJoCo, or the oldest supported one if it is not installed."""
     try:
         return tuple(int(x) for x in version("mujoco").split(".")[:2])
     except PackageNotFoundError:
@@ -275,7 +275,7 @@ def get_mujoco_version() -> tuple[int, ...]:
 
 
 def _is_native(effect: Effect, model: Model) -> bool:
-    """Return whether the installed MuJoCo has an element that is the effect's law."""
+    """Return whether the installed MuJoCo has an element with exactly the effect's law."""
     since = next((first for kind, first in _SINCE.items() if type(effect) is kind), None)
     if since is None or get_mujoco_version() < since:
         return False
@@ -290,12 +290,12 @@ def _is_native(effect: Effect, model: Model) -> bool:
 
 
 def _find_delay(effect: Delay, model: Model) -> float:
-    """Return by how much forces are late [s]."""
+    """Return the delay of forces [s]."""
     return model.effect_parameters[effect.parameters.names[0]].value
 
 
 def _is_chained(model: Model, one: str, other: str) -> bool:
-    """Return whether one joint moves the other; MuJoCo's mass matrix has no place for what couples two branches."""
+    """Return whether one joint moves the other; MuJoCo's mass matrix cannot couple two branches."""
     tree = model.robot.model
     a, b = tree.getJointId(one), tree.getJointId(other)
     return a in tree.supports[b] or b in tree.supports[a]
@@ -317,7 +317,7 @@ def _list_bristles(effects: Iterable[Effect], model: Model, joint: str) -> list[
 
 
 def compute_gravity(model: Model, places: EffectPlaces) -> np.ndarray:
-    """Return gravity (3,) [m/s^2], turned by what the model says of its direction."""
+    """Return gravity (3,) [m/s^2], corrected by the model's gravity direction."""
     gravity = np.asarray(model.robot.model.gravity.linear, float)
     turned = gravity.copy()
     for effect in places.native:
@@ -330,7 +330,7 @@ def compute_gravity(model: Model, places: EffectPlaces) -> np.ndarray:
 
 
 def compute_drag(model: Model, places: EffectPlaces, joint: str) -> float:
-    """Return a joint's drag by the speed squared [N s^2/m^2 or N m s^2/rad^2]."""
+    """Return a joint's coefficient of quadratic drag [N s^2/m^2 or N m s^2/rad^2]."""
     drags = [e for e in places.native if isinstance(e, QuadraticDrag) and joint in e.joints]
     return sum(model.effect_parameters[f"{joint}.quadratic_drag{e.label}"].value for e in drags)
 
@@ -341,7 +341,7 @@ def compute_bristle_force(model: Model, places: EffectPlaces, joint: str) -> flo
 
 
 def add_passive_motors(actuator: Element, model: Model, places: EffectPlaces) -> None:
-    """Add ripples and bristles as motors without an input, behind the drives."""
+    """Add ripples and bristles as motors without an input, after the drives."""
     passive = {"input": "none", "motorconst": "0", "resistance": "1"}
     count: Counter[str] = Counter()
     for effect in places.native:
@@ -365,7 +365,7 @@ def add_passive_motors(actuator: Element, model: Model, places: EffectPlaces) ->
 
 
 def add_late_sensors(root: Element, model: Model, places: EffectPlaces) -> None:
-    """Add sensors that show forces of drives as late as they are logged."""
+    """Add sensors that show the forces of drives with the delay of the log."""
     late = {j: _find_delay(e, model) for e in places.native if isinstance(e, Delay) for j in e.joints}
     sensor = SubElement(root, "sensor") if late else root
     for joint, delay in late.items():
@@ -374,7 +374,7 @@ def add_late_sensors(root: Element, model: Model, places: EffectPlaces) -> None:
 
 
 def add_shared_motors(root: Element, model: Model, places: EffectPlaces, stiff: dict[str, str]) -> None:
-    """Add motors that two joints share as tendons of both."""
+    """Add the coupling of two joints by their drives as a fixed tendon."""
     shared = [e for e in places.native if isinstance(e, ReducerCoupling)]
     tendon = SubElement(root, "tendon") if shared else root
     for effect in shared:

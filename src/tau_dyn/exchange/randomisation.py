@@ -1,8 +1,8 @@
-"""Samples of a model as what trainers randomise: a table of bodies and joints, and a module that puts its rows into simulations.
+"""Samples of a model for domain randomisation: a table of bodies and joints, and a module that puts its rows into simulations.
 
     OUT.npz   n samples of the robot that `export --to mjcf` or `--to urdf` writes, in SI units:
               bodies (b,), mass (n, b), centre (n, b, 3) in the body's frame, moments (n, b, 3), axes (n, b, 4) w x y z;
-              joints (j,), armature, damping, frictionloss, offset, gain (n, j) as files hold them (`content.py`)
+              joints (j,), armature, damping, frictionloss, offset, gain (n, j) as in robot files (`content.py`)
     OUT.py    mjlab 1.6, Isaac Lab 2.3 or MuJoCo Playground: `set_sample(model, k)` for MuJoCo, and the trainer's own event
 
 Each row is one robot: masses, inertias and friction belong together, so a trainer draws rows, not numbers.
@@ -30,12 +30,12 @@ TrainerTarget = Literal["mjlab", "isaaclab", "playground"]
 
 @dataclass(frozen=True)
 class RandomisationFiles:
-    """What a trainer loads.
+    """The files that a trainer loads.
 
     Attributes:
         module: Text of OUT.py.
         table: Content of OUT.npz.
-        left_out: What of the model the simulations cannot carry, a sentence each.
+        left_out: Parts of the model that the simulations cannot carry, one sentence each.
         n_samples: Number of samples.
     """
 
@@ -49,7 +49,7 @@ def read_samples(path: Path, model: Model) -> np.ndarray:
     """Return a table of samples (n, p) in the order of a model's parameters.
 
     Raises:
-        InputError: The file is no such table, or of another model.
+        InputError: The file is not such a table, or belongs to another model.
     """
     if not path.is_file():
         raise InputError("file_not_found", f"{path} does not exist; identify --samples N --out writes it")
@@ -74,8 +74,8 @@ def build_randomisation(
     Args:
         model: The model.
         samples: Values in the order of its parameters.
-        target: Which trainer.
-        table_name: File name of the table, which lies beside the module.
+        target: The trainer.
+        table_name: File name of the table, which is in the folder of the module.
     """
     model.robot.require_unscaled_drives("a trainer's file")
     arrays = {**_collect_bodies(model, samples), **_collect_joints(model, samples)}
@@ -105,7 +105,7 @@ def _collect_bodies(model: Model, samples: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _collect_joints(model: Model, samples: np.ndarray) -> dict[str, np.ndarray]:
-    """Return each joint's law in each sample: all of its numbers are linear in the parameters."""
+    """Return each joint's law in each sample; all of its values are linear in the parameters."""
     robot, names = model.robot, model.parameters.names
     own = [k for k, name in enumerate(names) if name.rpartition(".")[0] in robot.actuated]
 

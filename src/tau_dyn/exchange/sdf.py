@@ -1,9 +1,9 @@
-"""A model's robot as SDF 1.11 for Gazebo: a link a movable joint, loops as ball joints, Drake's extension for drive inertia.
+"""A model's robot as SDF 1.11 for Gazebo: one link per movable joint, loops as ball joints, Drake's element for drive inertia.
 
-Every movable joint becomes a link with the model's inertia (links fixed to it merged in) at the joint's place. SDF closes no
-loop: ball joints take the links as they stand. So a robot with loops stands at home, and its joints count from there. Viscous
-and Coulomb friction stand at the joints. Drive inertia has no place in SDF; Gazebo passes over `drake:rotor_inertia`, which holds
-it.
+Every movable joint becomes a link with the model's inertia (links fixed to it merged in) at the joint's position. SDF does not
+close loops: ball joints connect the links at the poses in the file. Therefore a robot with loops is written at its home
+position, from which its joints count. Viscous and Coulomb friction are attributes of the joints. SDF has no element for drive
+inertia; it is written as `drake:rotor_inertia`, which Gazebo ignores.
 Reference: sdformat.org, specification 1.11.
 """
 
@@ -76,7 +76,7 @@ def build_sdf(model: Model) -> Exported:
 
 
 def _find_home(model: Model, joints: list[Joint]) -> list[float]:
-    """Return the closed configuration at home, one position a joint [m or rad]."""
+    """Return the closed configuration at home, one position per joint [m or rad]."""
     robot, found = model.robot, []
     q = LoopSolver(robot).close(robot.home)
     for joint in joints:
@@ -87,7 +87,7 @@ def _find_home(model: Model, joints: list[Joint]) -> list[float]:
 
 
 def _list_losses(model: Model, carried: Model) -> list[str]:
-    """Return what SDF has no place for beyond effects, a sentence each."""
+    """Return one sentence for each part of the model, other than effects, that SDF cannot carry."""
     robot, said = model.robot, ["visual and collision shapes are left out"]
     driven = [j for j in robot.actuated if read_joint_law(carried, j).armature]
     if driven:
@@ -105,7 +105,7 @@ def _list_losses(model: Model, carried: Model) -> list[str]:
 
 
 def _name_links(model: Model) -> dict[int, str]:
-    """Return each joint's link by the joint's index; SDF lets no link and joint share a name."""
+    """Return the name of each joint's link by the joint's index; in SDF a link and a joint may not share a name."""
     frames = model.robot.model.frames.tolist()
     names = {f.parentJoint: f.name for f in reversed(frames) if f.type == pin.FrameType.BODY}
     taken = set(model.robot.model.names)
@@ -113,7 +113,7 @@ def _name_links(model: Model) -> dict[int, str]:
 
 
 def _add_link(top: Element, model: Model, joint: Joint, q: float, names: dict[int, str]) -> None:
-    """Add a joint's link where it is at position `q` of the joint."""
+    """Add a joint's link at its pose for the joint position `q`."""
     turned = np.eye(3) if joint.slides else pin.exp3(np.asarray(joint.axis, float) * q)
     moved = np.asarray(joint.axis, float) * q if joint.slides else np.zeros(3)
     link = SubElement(top, "link", name=names[joint.index])

@@ -1,7 +1,8 @@
-"""A model's robot as URDF: the file it came from, with the model's inertias, drive inertia and friction put in.
+"""A model's robot as URDF: its source file, with the model's inertias, drive inertia and friction.
 
-Links that are fixed to a moving link lose their own inertia to it, since data see only their sum. Friction goes to `<dynamics>`,
-drive inertia to Drake's `<drake:rotor_inertia>` (which our loader reads too), mass that only gravity feels to our own element.
+The inertia of links that are fixed to a moving link is added to that link, since data determine only the sum. Friction is
+written to `<dynamics>`, drive inertia to Drake's `<drake:rotor_inertia>` (which our loader reads too), and mass on which only
+gravity acts to our own element.
 `<ros2_control>` lists each drive with an effort command within its limit, and position and velocity as states.
 """
 
@@ -30,16 +31,16 @@ from tau_dyn.model import Model
 from tau_dyn.robot import resolve_mesh
 
 _DRAKE, _OURS = "http://drake.mit.edu", "urn:tau_dyn"
-_HARDWARE = "mock_components/GenericSystem"  # what ros2_control brings for trials; a real drive's plugin replaces it
+_HARDWARE = "mock_components/GenericSystem"  # mock hardware of ros2_control; a real drive has its own plugin
 _ENTRIES = (("ixx", 0, 0), ("ixy", 0, 1), ("ixz", 0, 2), ("iyy", 1, 1), ("iyz", 1, 2), ("izz", 2, 2))
 
 
 def build_urdf(model: Model, folder: Path | None = None) -> Exported:
-    """Return the model's robot as URDF text, which reads back with the same rigid-body forces.
+    """Return the model's robot as URDF text, which gives the same rigid-body forces when it is read again.
 
     Args:
         model: The model.
-        folder: Folder of the file to be written, from which relative paths of meshes start; None for the robot file's.
+        folder: Folder of the file to be written, to which mesh paths are relative; None for the robot file's folder.
     """
     model.robot.require_fixed_base("an exported URDF")
     carried = build_carried_model(model, drives=False)
@@ -51,7 +52,7 @@ def build_urdf(model: Model, folder: Path | None = None) -> Exported:
             _remove(links[name], "inertial")
         _write_inertial(links[link.link], build_body(link, model))
     joints = {e.get("name", ""): e for e in root.findall("joint")}
-    for joint in model.robot.mimics:  # their friction is within that of the joint that they follow
+    for joint in model.robot.mimics:  # their friction is included in that of the joint that they follow
         _remove(joints[joint], "dynamics")
     for joint in model.robot.actuated:
         law = read_joint_law(carried, joint)
@@ -65,7 +66,7 @@ def build_urdf(model: Model, folder: Path | None = None) -> Exported:
     _remove(root, f"{{{_OURS}}}estimated_inertias")
     SubElement(
         root, f"{{{_OURS}}}estimated_inertias"
-    )  # data fit forces, not bodies: a loader should not ask for sound ones
+    )  # estimates fit forces and need not be consistent bodies: a loader should not check them
     for prefix, space in (("drake", _DRAKE), ("tau_dyn", _OURS)):
         ElementTree.register_namespace(prefix, space)
     ElementTree.indent(root)
@@ -75,7 +76,7 @@ def build_urdf(model: Model, folder: Path | None = None) -> Exported:
 
 
 def _move_meshes(root: Element, source: Path, folder: Path) -> None:
-    """Let relative paths of meshes, which start at the robot file's folder, start at another one."""
+    """Change relative mesh paths from the robot file's folder to another folder."""
     if source.parent.resolve() == folder.resolve():
         return
     for mesh in root.iter("mesh"):
@@ -86,7 +87,7 @@ def _move_meshes(root: Element, source: Path, folder: Path) -> None:
 
 
 def _fixed_to(root: Element, link: str) -> list[str]:
-    """Return the links that are fixed to a link, directly or over others."""
+    """Return the links that are fixed to a link, directly or through others."""
     found, open_links = [], [link]
     while open_links:
         here = open_links.pop()
@@ -108,7 +109,7 @@ def _write_inertial(link: Element, body: BodyInertia) -> None:
 
 
 def _write_drives(root: Element, model: Model) -> None:
-    """Give each actuated joint, and no other, a transmission with its drive inertia."""
+    """Add a transmission with the drive inertia to each actuated joint, and remove the transmissions of other joints."""
     kept: dict[str, Element] = {}
     for element in root.findall("transmission"):
         joint = element.find("joint")
@@ -129,7 +130,7 @@ def _write_drives(root: Element, model: Model) -> None:
 
 
 def _actuator(root: Element, transmission: Element | None, joint: str) -> Element:
-    """Return the one actuator of a transmission, which is made where there is none."""
+    """Return the actuator of a transmission; create it if it does not exist."""
     if transmission is None:
         transmission = SubElement(root, "transmission", name=f"{joint}_transmission")
         SubElement(transmission, "type").text = "transmission_interface/SimpleTransmission"
@@ -141,7 +142,7 @@ def _actuator(root: Element, transmission: Element | None, joint: str) -> Elemen
 
 
 def _write_ros2_control(root: Element, model: Model) -> None:
-    """Say which drives take an effort and what is read of them; a file that says so itself is left as it is."""
+    """Add effort commands and states of each drive as `<ros2_control>`; a file that has this element is not changed."""
     if root.find("ros2_control") is not None:
         return
     system = SubElement(root, "ros2_control", name=f"{model.robot.name}_drives", type="system")

@@ -1,4 +1,4 @@
-"""Results -> terminal, page, notebook, JSON; reads results, computes nothing new."""
+"""Output of results: terminal, page, notebook, JSON. The package reads results and computes no new ones."""
 
 from lazy_loader import attach_stub
 

@@ -1,7 +1,7 @@
-"""What a camera should see, as a picture of its own size to lay over the live one: robot, pattern, border and principal axes.
+"""The expected image of a camera, in the camera's resolution, to overlay on the live image: robot, pattern, border and axes.
 
-Lines alone on a transparent ground, or on a picture that was taken. Colours: robot blue, the pattern where it should be green
-with its first corner (left above) marked, the pattern as found red, border and axes of the picture grey.
+The image has only lines, on a transparent background or on an image of the camera. Colours: robot blue, expected pattern green
+with its first corner (upper left) marked, detected pattern red, border and principal axes of the image grey.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from tau_dyn.render.pictures import encode_png, outline_solid
 from tau_dyn.render.sketch import compute_hull
 
 _BLUE, _GREEN, _RED, _GREY = (46, 124, 214), (30, 170, 70), (214, 48, 48), (128, 128, 128)
-_MIN_DEPTH_M = 0.05  # before the camera, where lines are cut off
-_DASH = 12.0  # [px] of the axes
+_MIN_DEPTH_M = 0.05  # depth in front of the camera at which lines are clipped
+_DASH = 12.0  # [px] length of the dashes of the axes
 
 Line = tuple[np.ndarray, tuple[int, int, int], int]
 """Points (n, 2) [px], colour, and width [px]."""
@@ -34,15 +34,15 @@ def draw_camera_picture(
     taken: np.ndarray | None = None,
     found: Poses | None = None,
 ) -> bytes:
-    """Return what a camera should see as a PNG file.
+    """Return the expected image of a camera as a PNG file.
 
     Args:
-        camera: The camera where it should stand.
+        camera: The camera at its planned pose.
         machine: The robot.
         q: Its actuated positions (na,).
-        tool: The tool's pose (1) there.
-        taken: Grey values (height, width) that the camera took, laid below.
-        found: The pattern (1) as found in it, in the camera's frame.
+        tool: The tool's pose (1) at these positions.
+        taken: Grey values (height, width) of an image of the camera, as background.
+        found: The pattern's pose (1) detected in it, in the camera's frame.
     """
     width, height = camera.image
     picture = np.zeros((height, width, 4), np.uint8)
@@ -73,12 +73,12 @@ def _list_lines(
 
 
 def _to_camera(camera: Camera, points: np.ndarray) -> np.ndarray:
-    """Return points (n, 3) [m] of the base frame in the camera's."""
+    """Return points (n, 3) [m] of the base frame in the camera's frame."""
     return (points - camera.pose.translation) @ camera.pose.rotation
 
 
 def _outline(camera: Camera, points: np.ndarray, colour: tuple[int, int, int]) -> Iterator[Line]:
-    """Yield the outline of points (n, 3) [m] of the base frame; a line where they are two; nothing that reaches behind."""
+    """Yield the outline of points (n, 3) [m] of the base frame, a line for two points, if it is in front of the camera."""
     local = _to_camera(camera, points)
     if len(points) == 2:
         yield from _cut(camera, local, colour, 3)
@@ -90,7 +90,7 @@ def _outline(camera: Camera, points: np.ndarray, colour: tuple[int, int, int]) -
 
 
 def _cut(camera: Camera, ends: np.ndarray, colour: tuple[int, int, int], wide: int) -> Iterator[Line]:
-    """Yield a line between two points (2, 3) [m] in the camera's frame, cut off where it comes too near."""
+    """Yield a line between two points (2, 3) [m] in the camera's frame, clipped at the smallest depth."""
     a, b = ends if ends[0, 2] >= ends[1, 2] else ends[::-1]
     if a[2] <= _MIN_DEPTH_M:
         return
@@ -111,7 +111,7 @@ def _pattern(camera: Camera, at: Poses, colour: tuple[int, int, int]) -> Iterato
             yield line, colour, 1
     rim = [*grid[0], *grid[1:, -1], *grid[-1, ::-1], *grid[::-1, 0]]
     yield np.array(rim), colour, 3
-    first = grid[-1, 0]  # rows run upwards; the printed pattern's first corner is left above
+    first = grid[-1, 0]  # rows run upwards; the printed pattern's first corner is at the upper left
     half = 0.5 * float(np.linalg.norm(grid[-1, 1] - first))
     yield first + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]), colour, 2
 
@@ -142,7 +142,7 @@ def _draw(picture: np.ndarray, points: np.ndarray, colour: tuple[int, int, int],
 def _clip(
     start: np.ndarray, end: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the part of a line within a rectangle, None where there is none (Liang & Barsky 1984)."""
+    """Return the part of a line within a rectangle, or `None` if it is outside (Liang & Barsky 1984)."""
     along, first, last = end - start, 0.0, 1.0
     for axis in (0, 1):
         if abs(along[axis]) < 1e-12:

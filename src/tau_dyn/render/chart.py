@@ -1,8 +1,8 @@
-"""One chart module for every figure: axes with units, linear or logarithmic, and marks of `results.figures` on them, as SVG.
+"""Charts of all figures as SVG: linear or logarithmic axes with units, and the marks of `results.figures` on them.
 
-Every text and attribute is escaped here, once. Colours come from the page's style, by an ink's name, so that a drawing is light
-or dark with what surrounds it. A `Chart` maps data to a fixed drawing; the page scales it. Maps over a flat section are bands of
-colour with level lines between them, as a catalogue prints an accuracy or stiffness map.
+Every text and attribute is escaped here, once. Colours come from the page's style, by an ink's name, so that a drawing follows
+the light or dark theme around it. A `Chart` maps data to a fixed drawing; the page scales it. Maps over a flat section are bands
+of colour with level lines between them, as in accuracy and stiffness maps of catalogues.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from tau_dyn.log import find_true_runs
 
 
 def format_tag(name: str, *content: Markup | str, **attributes: object) -> Markup:
-    """Return an element; `class_` and `stroke_width` lose and change their underscore, content is escaped."""
+    """Return an element with escaped content; `class_` becomes `class`, `stroke_width` becomes `stroke-width`."""
     pairs = ((key.rstrip("_").replace("_", "-"), value) for key, value in attributes.items() if value is not None)
     text = "".join(f' {key}="{escape(_short(value))}"' for key, value in pairs)
     inside = Markup("").join(escape(c) for c in content)
@@ -30,7 +30,7 @@ def _short(value: object) -> str:
 
 
 def draw_svg(title: str, size: tuple[float, float], style: str, *pieces: Markup | str) -> Markup:
-    """Return a whole drawing of a width and a height; screen readers read its title."""
+    """Return a complete drawing with a width, a height and a title for screen readers."""
     box = f"0 0 {size[0]:.0f} {size[1]:.0f}"
     return format_tag("svg", format_tag("title", title), *pieces, viewBox=box, role="img", class_=style)
 
@@ -41,7 +41,7 @@ def format_path(points: np.ndarray, *, closed: bool = False) -> str:
 
 
 def choose_ticks(low: float, high: float, about: int = 5) -> np.ndarray:
-    """Return round numbers within an interval, about so many."""
+    """Return about `about` round numbers within an interval."""
     raw = (high - low) / max(about, 1)
     if not raw > 0 or not np.isfinite(raw):
         return np.array([low])
@@ -51,7 +51,7 @@ def choose_ticks(low: float, high: float, about: int = 5) -> np.ndarray:
 
 
 def choose_log_ticks(low: float, high: float, most: int = 8) -> list[tuple[float, bool]]:
-    """Return round numbers in an interval and whether each is written out: as many of 1, 2, 5 as there is room for."""
+    """Return round numbers in an interval and whether each is labelled: as many of 1, 2, 5 as fit."""
     first, last = int(np.floor(np.log10(low))), int(np.ceil(np.log10(high)))
     every = [m * 10.0**k for k in range(first, last + 1) for m in range(1, 10)]
     inside = [v for v in every if low <= v * (1 + 1e-9) and v <= high * (1 + 1e-9)]
@@ -65,30 +65,30 @@ def choose_log_ticks(low: float, high: float, most: int = 8) -> list[tuple[float
 
 
 def choose_power(limits: tuple[float, float]) -> int:
-    """Return the power of ten, in threes, that is left out of an axis' numbers; 0 where they are short as they are."""
+    """Return the power of ten, a multiple of three, by which the labels of an axis are divided; 0 if they are short enough."""
     size = max(abs(x) for x in limits)
     return 0 if not 0 < size < 6e-3 and not 1e5 <= size < np.inf else 3 * int(np.floor(np.log10(size) / 3))
 
 
 def label(value: float, limits: tuple[float, float]) -> str:
-    """Return a tick's number; what is zero up to rounding is zero."""
+    """Return a tick's label; a value that is zero up to rounding is written as 0."""
     span = limits[1] - limits[0]
     return "0" if abs(value) < 1e-9 * span else f"{value / 10.0 ** choose_power(limits):.5g}".replace("-", "−")
 
 
 Place = Callable[[np.ndarray], np.ndarray]
-"""Where values of an axis lie on the drawing."""
+"""Function from values of an axis to coordinates of the drawing."""
 
 FINE = 4
-"""Points drawn between two of the grid, to a side."""
+"""Subdivisions of the grid's spacing along each axis."""
 LEGEND = 66
-"""Width of the scale beside a map [px]."""
+"""Width of the scale next to a map [px]."""
 COLOURS = ("#f3f0dd", "#fbe29a", "#f6bf5f", "#ee9748", "#dd6b44", "#c1434d", "#98285a", "#6a1a5d", "#41114f", "#210a37")
-"""From light to dark, so that it prints in grey and reads without colour vision."""
+"""Colours from light to dark, so that a map can be printed in grey and read without colour vision."""
 
 
 def draw_levels(mark: r.Levels, x: Place, y: Place) -> list[Markup]:
-    """Return one path a band of colour, one a level line, on a drawing with these axes."""
+    """Return one path for each band of colour and each level line, on a drawing with these axes."""
     u, v, values = _refined(mark.u, mark.v, mark.values)
     across, up = x(u), y(v)
     levels = mark.levels
@@ -101,7 +101,7 @@ def draw_levels(mark: r.Levels, x: Place, y: Place) -> list[Markup]:
 
 
 def draw_scale(right: float, levels: np.ndarray, unit: str, top: float, bottom: float) -> list[Markup]:
-    """Return the scale beside a map, at `right`, from one height of the drawing to another."""
+    """Return the scale next to a map, at `right`, from one height of the drawing to another."""
     n = len(levels) - 1
     tall = (bottom - top) / n
     pieces = [format_tag("text", unit, x=right, y=12, class_="axis-name")]
@@ -119,7 +119,7 @@ def _colours(n: int) -> list[str]:
 
 
 def _refined(u: np.ndarray, v: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return values between the grid's points, linear; nan next to a missing one, except at the point itself."""
+    """Return linearly interpolated values between the grid's points; nan next to a missing point."""
     for axis in (0, 1):
         n = values.shape[axis]
         at = np.arange((n - 1) * FINE + 1) / FINE
@@ -135,7 +135,7 @@ def _between(x: np.ndarray) -> np.ndarray:
 
 
 def _band(x: np.ndarray, y: np.ndarray, values: np.ndarray, low: float, high: float, colour: str, last: bool) -> Markup:
-    """Return all cells of one colour, runs of a row drawn at once."""
+    """Return all cells of one colour, with neighbours in a row joined."""
     cells = (values[:-1, :-1] + values[1:, :-1] + values[:-1, 1:] + values[1:, 1:]) / 4
     top = np.inf if last else high
     inside = np.isfinite(cells) & (cells >= low) & (cells < top)
@@ -147,7 +147,7 @@ def _band(x: np.ndarray, y: np.ndarray, values: np.ndarray, low: float, high: fl
 
 
 def _level_line(x: np.ndarray, y: np.ndarray, values: np.ndarray, level: float) -> str:
-    """Return a level's line by marching squares: in every cell the pieces between the sides it crosses."""
+    """Return a level's line by marching squares: in every cell the segments between the sides that it crosses."""
     above = values - level
     pieces = []
     for i, j in np.argwhere(np.isfinite(values[:-1, :-1] + values[1:, :-1] + values[:-1, 1:] + values[1:, 1:])):
@@ -167,14 +167,14 @@ LEFT, RIGHT, TOP, BOTTOM = 46, 10, 20, 34
 
 @dataclass(frozen=True)
 class Chart:
-    """A drawing area with data coordinates; limits of a logarithmic axis stay in data units and have to be positive.
+    """A drawing area with data coordinates; limits of a logarithmic axis are in data units and must be positive.
 
     Attributes:
-        width: Whole width [px at 100 %].
-        height: Whole height.
+        width: Total width [px at 100 %].
+        height: Total height.
         xlim: Data at the left and right edge.
         ylim: Data at the lower and upper edge.
-        title: What is drawn, in a corner; also read out by screen readers.
+        title: Title in a corner, also for screen readers.
         xlabel: Quantity and unit of the horizontal axis.
         ylabel: Quantity and unit of the vertical axis, written above it.
         log_x: Whether the horizontal axis is logarithmic.
@@ -200,7 +200,7 @@ class Chart:
         return self.height - BOTTOM - _share(value, self.ylim, self.log_y) * (self.height - TOP - BOTTOM)
 
     def draw(self, mark: r.Mark) -> Markup:
-        """Return a mark's elements, or nothing where it shows nothing."""
+        """Return a mark's elements; empty if the mark has no content."""
         match mark:
             case r.Line():
                 return self._path(self._line(mark.x, mark.y), mark.ink)
@@ -231,7 +231,7 @@ class Chart:
                 return Markup("").join(draw_levels(mark, self.x, self.y))
 
     def render(self, *marks: r.Mark, style: str = "chart", beside: str = "", wider: int = 0) -> Markup:
-        """Return the whole drawing: axes behind, marks within, and what stands beside it in so much more width."""
+        """Return the complete drawing: axes, marks, and further SVG at the right in the additional width `wider`."""
         title = f"{self.title}: {self.ylabel} over {self.xlabel}"
         size = self.width + wider, self.height
         return draw_svg(title, size, style, self._axes(), *map(self.draw, marks), beside)
@@ -246,7 +246,7 @@ class Chart:
         return "".join("M" + "L".join(points[s[0] : s[-1] + 1]) for s in stretches if there[s[0]])
 
     def _dots(self, mark: r.Dots) -> str:
-        """Return round dots as zero-length strokes with round ends, others as outlines."""
+        """Return round dots as zero-length strokes with round ends, other shapes as outlines."""
         s = mark.size
         shape = {
             "dot": "h0",
@@ -316,7 +316,7 @@ class Chart:
 
 
 def draw_figure(figure: r.Figure) -> Markup:
-    """Return a figure as SVG; beside a map of levels stands their scale."""
+    """Return a figure as SVG; a map of levels has its scale next to it."""
     maps = [mark for mark in figure.marks if isinstance(mark, r.Levels)]
     wider = LEGEND if maps else 0
     (width, height), x, y = figure.size, figure.x, figure.y
@@ -327,7 +327,7 @@ def draw_figure(figure: r.Figure) -> Markup:
 
 
 def draw_colour_scale(scale: r.ColourScale) -> Markup:
-    """Return a scale of colours with its numbers below."""
+    """Return a scale of colours with numbers below."""
     wide, n = 15.0, len(scale.inks)
     pieces = [
         format_tag("rect", x=4 + k * wide, y=2, width=wide + 0.5, height=11, class_=ink)
@@ -342,7 +342,7 @@ def draw_colour_scale(scale: r.ColourScale) -> Markup:
 
 
 def _share(value: np.ndarray | float, limits: tuple[float, float], log: bool) -> np.ndarray:
-    """Return how far along an axis values lie, 0 to 1 between its limits."""
+    """Return the relative position of values on an axis, 0 to 1 between its limits."""
     x = np.asarray(value, float)
     if not log:
         return (x - limits[0]) / (limits[1] - limits[0])
@@ -351,14 +351,14 @@ def _share(value: np.ndarray | float, limits: tuple[float, float], log: bool) ->
 
 
 def _ticks(limits: tuple[float, float], log: bool, about: int, most: int) -> list[tuple[float, str]]:
-    """Return an axis' round numbers and how each is written, empty for those that only a line shows."""
+    """Return an axis' ticks and their labels; a label is empty for a tick with only a line."""
     if log:
         return [(value, f"{value:.5g}" if named else "") for value, named in choose_log_ticks(*limits, most=most)]
     return [(float(value), label(value, limits)) for value in choose_ticks(*limits, about=about)]
 
 
 def _power_words(limits: tuple[float, float], log: bool) -> str:
-    """Return what an axis' numbers are to be multiplied by, where they would be too long otherwise."""
+    """Return the common factor of an axis' labels; empty if they are short enough."""
     power = 0 if log else choose_power(limits)
     return f" × 10{str(power).translate(_RAISED)}" if power else ""
 

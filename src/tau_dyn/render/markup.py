@@ -1,4 +1,4 @@
-"""Tables and drawings as HTML, for a page and for a notebook. All text is escaped by `svg.format_tag`."""
+"""Tables and drawings as HTML, for a page and for a notebook. All text is escaped by `chart.format_tag`."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from tau_dyn import results as r
 from tau_dyn.render.chart import draw_colour_scale, draw_figure, format_tag
 
 LONG = 44
-"""Characters of a cell above which it breaks into lines in a notebook."""
+"""Number of characters above which a cell is broken into lines in a notebook."""
 
 MAX_SIGMAS = 3.0
-"""Standard errors off the truth from which a number stands out, in a column of style `far`."""
+"""Error in standard errors above which a number is highlighted, in a column of style `far`."""
 
 
 def draw(drawing: r.Drawing) -> Markup:
@@ -25,7 +25,7 @@ def draw(drawing: r.Drawing) -> Markup:
         case r.ColourScale():
             return draw_colour_scale(drawing)
         case r.RobotPicture():
-            from tau_dyn.render.sketch import draw_robot  # loads the kinematics, which many results do without
+            from tau_dyn.render.sketch import draw_robot  # loads the kinematics, which many results do not need
 
             return draw_robot(drawing)
         case r.VectorPicture():
@@ -40,7 +40,7 @@ def draw(drawing: r.Drawing) -> Markup:
 
 
 def build_table(table: r.ResultTable, on: r.On) -> Markup:
-    """Return a table as it stands on a page or in a notebook."""
+    """Return a table for a page or a notebook."""
     shown = [k for k, c in enumerate(table.columns) if c.on & on]
     columns = [table.columns[k] for k in shown]
     pieces = [format_tag("caption", table.caption)] if table.caption else []
@@ -69,7 +69,7 @@ def _name_class(column: r.Column, cell: r.Cell = "") -> str:
 
 
 def _build_row(row: r.Row, columns: Sequence[r.Column], shown: Sequence[int], on: r.On) -> Markup:
-    if row.style == "fold":  # a line of words over the whole width
+    if row.style == "fold":  # one line of text over the whole width
         name, remark = row.cells[shown[0]], row.cells[shown[-1]]
         both = (str(name), format_tag("span", str(remark), class_="remark"))
         return format_tag("tr", format_tag("th", *both, colspan=len(columns)), class_="fold")
@@ -114,7 +114,7 @@ def _build_meter(bar: r.Bar) -> Markup:
 
 
 def _build_step(step: r.StepBar) -> Markup:
-    """Return a step of a waterfall: what is left, hatched what it took away, its interval, and the noise floor dashed."""
+    """Return a step of a waterfall: the residual, its interval, the removed part hatched, and the noise floor dashed."""
     if not np.isfinite(step.share):
         return Markup("")
     cut = step.share > 1
@@ -132,7 +132,7 @@ def _build_step(step: r.StepBar) -> Markup:
 
 
 def _draw_interval(bar: r.IntervalBar) -> Markup:
-    """Return an estimate and its 95 % interval around the reference at the middle, cut at the scale."""
+    """Return an estimate and its 95 % interval around the reference in the centre, cut at the ends of the scale."""
 
     def x(share: float) -> float:
         return 70.0 + 64.0 * share

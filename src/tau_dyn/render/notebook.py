@@ -1,7 +1,7 @@
-"""A presentation in a notebook: headline, judgement, tables and a few small drawings, and the table behind it.
+"""A presentation in a notebook: headline, verdict, tables and a few small drawings, and its data as a table.
 
-Everything else is the page's (`write_report`). Drawings and their style are the page's own; the style is scoped to the view,
-so that nothing of it reaches the notebook around it, and follows the notebook's light or dark theme. There is no script.
+The page (`write_report`) holds the complete result. Drawings and their style are those of the page. The style is scoped to the
+view, so that it does not change the rest of the notebook, and follows the notebook's light or dark theme. There is no script.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     import pandas as pd
 
 DARK = ('body[data-jp-theme-light="false"]', "body.vscode-dark", 'html[theme="dark"]', '[data-theme="dark"]')
-"""How JupyterLab, VS Code, Colab and documentation say that they are dark."""
+"""CSS selectors of the dark theme in JupyterLab, VS Code, Colab and documentation."""
 MAX_ROWS = 16
-"""Rows that are shown before the rest is folded away."""
+"""Number of rows above which the rest is collapsed."""
 WIDE = 480
-"""Width from which a drawing is wide [px at 100 %]."""
-_CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")  # no text: a file name may hold what steers a terminal
+"""Width above which a drawing counts as wide [px at 100 %]."""
+_CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")  # a file name may hold control characters for a terminal
 _DRAWN = re.compile(
     r"\.(?:chart|bar|bar-[a-z]+|grid|zero|meter|robot|rail|rod|plate|cart|joint-name|triad|triad-name|shape|swinging|scale|vectors)"
     r"(?![\w-])"
@@ -38,10 +38,10 @@ _RULE = re.compile(r"([^{}]+)\{([^{}]*)\}")
 
 
 def render_notebook(result: Any) -> str:
-    """Return what a notebook shows of a result.
+    """Return the HTML of a result in a notebook.
 
     Raises:
-        TypeError: Nobody said how it looks.
+        TypeError: The result has no presentation.
     """
     shown = present(result)
     pieces = [Markup("<style>") + Markup(_get_style()) + Markup("</style>")]  # noqa: S704 our own files
@@ -72,7 +72,7 @@ def tabulate(result: Any) -> pd.DataFrame:
     """Return a result's main table as a pandas frame.
 
     Raises:
-        TypeError: It has none.
+        TypeError: The result has no table.
     """
     return build_frame(present(result))
 
@@ -86,7 +86,7 @@ def build_frame(shown: Presentation) -> pd.DataFrame:
 
 
 def _build_tables(table: ResultTable) -> list[Markup]:
-    """Return a table; what is beyond the first rows is folded away."""
+    """Return a table; rows after the first ones are collapsed."""
     rows = [row for row in table.all_rows if row.on & On.NOTEBOOK]
     if len(rows) <= MAX_ROWS + 2:
         return [build_table(replace(table, rows=rows, groups=(), style=""), On.NOTEBOOK)]
@@ -96,7 +96,7 @@ def _build_tables(table: ResultTable) -> list[Markup]:
 
 
 def _size(picture: Markup) -> Markup:
-    """Return a drawing; a wide one takes the room of several."""
+    """Return a drawing; a wide one gets the space of several."""
     size = re.search(r'viewBox="0 0 (\d+)', picture)
     if size is None or int(size[1]) < WIDE:
         return picture
@@ -105,7 +105,7 @@ def _size(picture: Markup) -> Markup:
 
 @cache
 def _get_style() -> str:
-    """Return the style of a view: its own, and the rules of the page that begin with a class of a drawing."""
+    """Return the style of a view: its own rules, and those of the page that begin with a class of a drawing."""
     page, own = (
         files("tau_dyn.render").joinpath("templates", f"{n}.css").read_text("utf-8") for n in ("page", "notebook")
     )

@@ -1,7 +1,7 @@
-"""A presentation as one HTML page that needs no other file: offline, light and dark, on screen and on paper.
+"""A presentation as one self-contained HTML page: offline, light and dark, for screen and paper.
 
-Its texts are escaped by Jinja; its content security policy allows no network and no script but the two inside, which it names
-by hash.
+Its texts are escaped by Jinja. Its content security policy allows no network access and only the two included scripts, which
+are identified by hash.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from tau_dyn.version import __version__
 
 
 def write_report(path: str | Path, result: Any, **options: Any) -> None:
-    """Write any result's page; it appears whole or not at all. Options are those of `build_page`.
+    """Write the page of any result, atomically. Options are those of `build_page`.
 
     Example:
         >>> from pathlib import Path
@@ -46,7 +46,7 @@ def build_page(result: Any, *, command_line: str = "", **options: Any) -> str:
     Args:
         result: The result, or its presentation.
         command_line: The command that repeats it, for the provenance.
-        options: What `present` may be told of such a result.
+        options: Options of `present` for this kind of result.
     """
     shown = result if isinstance(result, r.Presentation) else present(result, **options)
     sections = [(section, section.list_blocks(r.On.PAGE)) for section in shown.sections if section.on & r.On.PAGE]
@@ -64,7 +64,7 @@ def build_page(result: Any, *, command_line: str = "", **options: Any) -> str:
         provenance=_list_facts(shown.provenance),
         command_line=command_line,
         style=Markup(_read("vendor/uPlot.min.css") + _read("templates/page.css")),  # noqa: S704
-        scripts=[Markup(text) for text in list_scripts()],  # our own files, nothing of the user's
+        scripts=[Markup(text) for text in list_scripts()],  # only files of this package, without content of the user
         script_hashes=[_hash(text) for text in list_scripts()],
         licence=_read("vendor/uPlot.LICENSE"),
     )  # fmt: skip
@@ -96,7 +96,7 @@ def _hash(script: str) -> str:
 
 
 def _list_joints_drawn(picture: Any) -> list[str]:
-    """Return what the numbers in a robot's picture stand for; nothing where it shows names."""
+    """Return the legend of the numbers in a robot's picture; an empty list if the picture shows names."""
     if not isinstance(picture, r.RobotPicture):
         return []
     names = zip(build_joint_labels(picture.robot), picture.robot.actuated, strict=True)
@@ -104,7 +104,7 @@ def _list_joints_drawn(picture: Any) -> list[str]:
 
 
 def _list_facts(provenance: r.Provenance) -> list[tuple[str, str]]:
-    """Return versions, the robot file, what a kind adds, and when the page was made."""
+    """Return versions, the robot file, entries of the kind of result, and the date of the page."""
     libraries = ", ".join(f"{name} {version(name)}" for name in ("pin", "numpy", "scipy", "cvxpy"))
     facts = [("tau_dyn", __version__), ("libraries", f"Python {platform.python_version()}, {libraries}")]
     robot = provenance.robot

@@ -1,10 +1,10 @@
-"""What a robot does, as pictures: its modes swinging, its workspace in space, how far its tool leans.
+"""Pictures of a robot: animated modes, the workspace in space, the range of tilt of the tool.
 
-Modes swing on the screen; on paper, and for those who asked for less motion, they stand swung out, each as large as its figure
-takes. A shape is complex: its size is how far an output swings, its angle when. Turned so that the strongest swings at full
-real part, what stays real moves in step, what is imaginary a quarter of a period later. A workspace is a picture of its
-border's points, nearest on top, shaded by the way they face; frame, carts and plate are outlines, rods are lines, drawn over
-it.
+Modes are animated on the screen; on paper, and for readers who request reduced motion, they are drawn at full amplitude, each
+scaled to its figure. A shape is complex: the magnitude of an entry is the amplitude of an output, its angle the phase. With the
+strongest entry turned to the real axis, outputs with a real entry move in phase, and outputs with an imaginary entry a quarter
+of a period later. A workspace is an image of its border's points, nearest on top, shaded by their normals; frame, carts and
+plate are drawn over it as outlines, rods as lines.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ WIDTH, HEIGHT, MARGIN = 330, 250, 30
 _MAX_REACH = 24.0
 """Largest displacement of a drawing [px]."""
 FRAMES = 13
-"""Drawings a swing; the browser goes from one to the next in straight lines."""
+"""Number of drawings per period; the browser interpolates linearly between them."""
 _ARROW = 1.8
-"""Arrows are drawn longer than the body moves, so that they are seen beside it."""
+"""Ratio of arrows to the displacement of the body, so that they remain visible next to it."""
 AXES = {"x": (0.90, 0.30), "y": (-0.78, 0.42), "z": (0.0, -1.0)}
-"""Where the axes of space point on the drawing, y down: seen from above, in front and the right."""
+"""Directions of the axes of space on the drawing, y down: view from above, front and right."""
 SIZE, REACH = 190, 62.0
 PERIOD = 2.4
-"""Seconds that one swing takes on the page, whatever it takes in truth."""
+"""Period of an animation on the page [s], independent of the real period."""
 
 
 def _project(skeleton: Any) -> Projection:
@@ -58,7 +58,7 @@ def _project(skeleton: Any) -> Projection:
 
 
 def draw_swing(picture: SwingPicture) -> Markup:
-    """Return a mode on the robot: outlines at rest, the swing, carts, and arrows where sensors are."""
+    """Return a mode on the robot: outlines at rest, animated outlines, carts, and arrows at the sensors."""
     skeleton, swing = picture.skeleton, picture.swing
     view = _project(skeleton)
     pieces = [format_tag("path", d=format_path(view.place(rail)), class_="rail") for rail in skeleton.rails]
@@ -86,7 +86,7 @@ def draw_swing(picture: SwingPicture) -> Markup:
 
 
 def _frames(points: np.ndarray, moved: np.ndarray, view: Projection) -> list[str]:
-    """Return one outline each for moments of a swing, the first again at the end; hulls keep their corners."""
+    """Return one outline for each moment of a period, the first repeated at the end; hulls keep their corners."""
     flat = view.place(points)
     around = compute_hull(flat)
     corners, closed = (np.arange(len(flat)), False) if around is None else (around, True)
@@ -95,7 +95,7 @@ def _frames(points: np.ndarray, moved: np.ndarray, view: Projection) -> list[str
 
 
 def _arrow(at: np.ndarray, moved: np.ndarray) -> Markup:
-    """Return where a sensor's place swings to and fro: the ends of its way, with heads."""
+    """Return the motion of a sensor's position as a double arrow between its extremes."""
     tip = _ARROW * _MAX_REACH * project(np.real(moved)[None])[0]
     size = float(np.hypot(*tip))
     if size < 4:
@@ -116,13 +116,13 @@ def normalise_shape(shape: np.ndarray) -> np.ndarray:
 
 
 def draw_shape(picture: ShapePicture) -> Markup:
-    """Return the drawing of a mode: a path in space where two or three outputs are axes of one point, else bars."""
+    """Return the drawing of a mode: a path in space if two or three outputs are axes of one point, else bars."""
     axes, shape = find_space_axes(picture.outputs), normalise_shape(picture.shape)
     return _path(shape, axes) if axes else _bars(shape, picture.outputs)
 
 
 def _path(shape: np.ndarray, axes: dict[str, int]) -> Markup:
-    """Return the tool's path through one swing, an ellipse seen in perspective, with a dot that runs along it."""
+    """Return the tool's path over one period, an ellipse in parallel projection, with a moving dot."""
     middle = np.array([SIZE / 2, SIZE / 2])
     angle = np.linspace(0, 2 * np.pi, 73)
     swing = np.zeros((len(angle), 2))
@@ -149,7 +149,7 @@ def _path(shape: np.ndarray, axes: dict[str, int]) -> Markup:
 
 
 def _bars(shape: np.ndarray, outputs: Sequence[str]) -> Markup:
-    """Return one swinging bar an output: full where it moves in step, pale what comes a quarter of a period later."""
+    """Return one bar per output: full for the part in phase, pale for the part a quarter of a period later."""
     p = len(outputs)
     width = max(SIZE, 16 + 30 * p)
     step = (width - 16) / p
@@ -180,7 +180,7 @@ _INK = np.array([46.0, 124.0, 214.0])
 
 
 def draw_space(picture: SpacePicture) -> Markup:
-    """Return the workspace and the robot in space; nothing where the workspace is flat."""
+    """Return the workspace and the robot in space; empty if the workspace is flat."""
     found = picture.study
     space = found.workspace
     if space.dimension < 3:
@@ -231,7 +231,7 @@ def _cloud(found: Study, view: Projection) -> Markup:
 
 
 def _splat(pixel: np.ndarray, depth: np.ndarray, light: np.ndarray, wide: int) -> np.ndarray:
-    """Return a picture (rows, columns, 4) of squares, far ones first."""
+    """Return an image (rows, columns, 4) of squares, drawn from far to near."""
     rows, columns = SPACE_HEIGHT * _FINE, SPACE_WIDTH * _FINE
     picture = np.zeros((rows, columns, 4), np.uint8)
     order = np.argsort(depth, kind="stable")
@@ -266,7 +266,7 @@ def encode_png(picture: np.ndarray) -> bytes:
 
 
 def outline_solid(solid: PlacedSolid) -> np.ndarray:
-    """Return points whose hull is a solid's outline (m, 3); of a rod its two ends."""
+    """Return points (m, 3) whose hull is a solid's outline; for a rod its two ends."""
     shape, turn, place = solid.shape, solid.rotation[0], solid.position[0]
     if isinstance(shape, Capsule):
         length = float(solid.length[0]) if solid.length is not None else shape.length
@@ -293,7 +293,7 @@ def _obstacle(o: Obstacle) -> list[np.ndarray]:
 
 
 def _skeleton(found: Study) -> list[np.ndarray]:
-    """Return lines (2, 3) from joint to joint and on to the tool, for a robot that the file draws in meshes."""
+    """Return lines (2, 3) from joint to joint and to the tool, for a robot whose file has meshes."""
     robot = found.workspace.machine.robot
     solver = LoopSolver(robot)
     pin.framesForwardKinematics(robot.model, solver.data, solver.close(robot.home))
@@ -306,7 +306,7 @@ def _skeleton(found: Study) -> list[np.ndarray]:
 
 
 def draw_polar(picture: PolarPicture) -> Markup:
-    """Return a closed line around a point, outwards in degrees."""
+    """Return a closed line around a point in polar coordinates, with the radius in degrees."""
     middle, far = 130.0, 104.0
     most = max(30.0, float(np.ceil(picture.degrees.max() / 15) * 15))
     pieces = []

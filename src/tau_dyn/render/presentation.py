@@ -1,7 +1,7 @@
-"""`present(result)`: words, tables and figures of any result, written once in the file of its kind.
+"""`present(result)`: words, tables and figures of any result, defined in the file of its kind.
 
-The file of a kind registers how it is presented. It is imported when the first such result comes, so that showing a log does
-not load the whole package.
+The file of a kind registers its presentation. It is imported with the first result of the kind, so that showing a log does not
+load the whole package.
 """
 
 from __future__ import annotations
@@ -38,20 +38,20 @@ _KINDS = {
 }
 """Package of a result's class -> the file that presents it."""
 BADGES = {"good": "Ready to use", "care": "Use with care", "poor": "Not usable"}
-"""Verdicts on a model in a word or three."""
+"""Verdicts on a model in a few words."""
 ZOOM = "Drag across to zoom, double-click for the whole log. "
-"""How a time view is used, in its note."""
+"""Instructions in the note of a time view."""
 
 
 def present(result: Any, **options: Any) -> Presentation:
-    """Return how a result is presented.
+    """Return the presentation of a result.
 
     Args:
         result: The result.
-        options: What its kind may be told besides, such as the true values behind an identification.
+        options: Further options of its kind, such as the true values behind an identification.
 
     Raises:
-        TypeError: Nobody said how such a thing is presented.
+        TypeError: This type has no presentation.
     """
     for owner in type(result).__mro__:
         parts = owner.__module__.split(".")[1:]
@@ -63,12 +63,12 @@ def present(result: Any, **options: Any) -> Presentation:
 
 @singledispatch
 def present_kind(result: Any, **options: Any) -> Presentation:
-    """Return how a result of a kind is presented; each kind's file registers its own."""
+    """Return the presentation of a result of a kind; each kind's file registers its own function."""
     raise TypeError(f"{type(result).__name__} has no presentation")
 
 
 def warn(warnings: tuple[str, ...] | list[str], title: str = "Warnings") -> list[Chapter]:
-    """Return a page's section of warnings, those after the third folded away; none where there are none."""
+    """Return a page's section of warnings, those after the third collapsed; an empty list without warnings."""
     texts = [replace_plus_minus(text) for text in warnings]
     if not texts:
         return []
@@ -79,20 +79,20 @@ def warn(warnings: tuple[str, ...] | list[str], title: str = "Warnings") -> list
 
 
 def list_assumptions(assumed: tuple[str, ...] | list[str]) -> list[Chapter]:
-    """Return a page's folded section of what the robot file assumes; none where it assumes nothing."""
+    """Return a page's collapsed section of the robot file's assumptions; an empty list without assumptions."""
     if not assumed:
         return []
     return [Chapter("assumed", "What the robot file assumes", lambda: [Listing(list(assumed))], On.PAGE, folded=True)]
 
 
 def list_logs_used(provenance: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Return use, name and hash of each log that a model's provenance names."""
+    """Return use, name and hash of each log in a model's provenance."""
     pairs = (("training", provenance.get("trained_on", [])), ("held out", provenance.get("held_out", [])))
     return [(use, row["path"], row["sha256"] or "held in memory") for use, rows in pairs for row in rows]
 
 
 def flatten_rows(rows: Iterable[Mapping[str, Any]]) -> Any:
-    """Return rows of the contract's form as a frame: an interval's ends in columns of their own, lists as text."""
+    """Return rows in the form of the contract as a frame: an interval's ends in separate columns, lists as text."""
     import pandas as pd
 
     flat = []
@@ -107,7 +107,7 @@ def flatten_rows(rows: Iterable[Mapping[str, Any]]) -> Any:
 
 
 def pad_used(values: np.ndarray, air: float = 0.08) -> tuple[float, float]:
-    """Return the range of values with some air, -1 to 1 where there are none: filter ends and reversals do not widen it."""
+    """Return the range of used values with a margin, or -1 to 1 without values; filter ends and reversals do not widen it."""
     if not values.size:
         return -1.0, 1.0
     low, high = float(values.min()), float(values.max())

@@ -1,8 +1,8 @@
-"""Robots and points of space as line drawings, from the robot's tree alone.
+"""Line drawings of robots and of points in space, from the robot's tree alone.
 
-A link is drawn through the points where it meets others: its own joint, its children's joints and its loops' ends. Two points
+A link is drawn through its connections to other links: its own joint, its children's joints and its loops' ends. Two points
 make a rod, more make a plate. All drawings share one orthographic view, from the front right and above; z is up, the drawing's
-y down.
+y is down.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _CA, _SA, _CE, _SE = np.cos(_AZIMUTH), np.sin(_AZIMUTH), np.cos(_ELEVATION), np.
 _SCREEN = np.array([[-_SA, _CA, 0.0], [_CA * _SE, _SA * _SE, -_CE], [_CA * _CE, _SA * _CE, _SE]])
 """Rows: right, down, towards the viewer."""
 BOX_EDGES = tuple((i, i | 1 << a) for i in range(8) for a in range(3) if not i >> a & 1)
-"""Pairs of corners, as `compute_box_corners` counts them."""
+"""Pairs of corners, in the numbering of `compute_box_corners`."""
 
 
 def project(points: np.ndarray) -> np.ndarray:
@@ -43,8 +43,8 @@ class Projection(NamedTuple):
     """Maps points of space to a drawing.
 
     Attributes:
-        scale: Drawing units a metre.
-        shift: Where the origin lies (2,).
+        scale: Drawing units per metre.
+        shift: Position of the origin (2,).
     """
 
     scale: float
@@ -52,7 +52,7 @@ class Projection(NamedTuple):
 
     @classmethod
     def of(cls, points: np.ndarray, width: float, height: float, margin: float) -> Projection:
-        """Return the view in which points (n, 3) [m] fill a drawing but for its margins."""
+        """Return the view in which points (n, 3) [m] fill a drawing up to its margins."""
         flat, sheet = project(points), np.array([width, height])
         low, high = flat.min(axis=0), flat.max(axis=0)
         scale = float(np.min((sheet - 2 * margin) / np.maximum(high - low, 1e-3)))
@@ -64,7 +64,7 @@ class Projection(NamedTuple):
 
 
 def compute_hull(flat: np.ndarray) -> np.ndarray | None:
-    """Return which points (n, 2) lie around all, in order; None where they are on one line."""
+    """Return the indices of the points (n, 2) on the convex hull, in order; None if all are on one line."""
     try:
         return ConvexHull(flat).vertices
     except (QhullError, ValueError):
@@ -72,18 +72,18 @@ def compute_hull(flat: np.ndarray) -> np.ndarray | None:
 
 
 def draw_outline(flat: np.ndarray) -> str:
-    """Return the path around points (n, 2) of the drawing, or through them where they are on one line."""
+    """Return the path around points (n, 2) of the drawing, or through them if they are on one line."""
     around = compute_hull(flat)
     return format_path(flat) if around is None else format_path(flat[around], closed=True)
 
 
 def compute_box_corners(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Return the corners (8, 3) of a box; bit a of a corner's number says at which end of axis a it lies."""
+    """Return the corners (8, 3) of a box; bit `a` of a corner's number is 1 at the upper end of axis `a`."""
     return np.array([[(lower, upper)[k >> a & 1][a] for a in range(3)] for k in range(8)])
 
 
 def draw_triad(x: float, y: float, length: float) -> Markup:
-    """Return the axes of space, drawn small from a point of the drawing."""
+    """Return a small coordinate triad at a point of the drawing."""
     origin, pieces = np.array([x, y]), []
     for axis, name in zip(np.eye(3), "xyz", strict=True):
         way = project(axis)[0]
@@ -96,7 +96,7 @@ def draw_triad(x: float, y: float, length: float) -> Markup:
 
 
 def draw_robot(picture: RobotPicture) -> Markup:
-    """Return the drawing, the named joints in another colour, or nothing where the robot cannot be put at home."""
+    """Return the drawing with the named joints in another colour; empty if the robot cannot reach home."""
     robot = picture.robot
     try:
         solver = LoopSolver(robot)
@@ -110,7 +110,7 @@ def draw_robot(picture: RobotPicture) -> Markup:
 
 
 def _shapes(robot: Robot, data: pin.Data) -> list[np.ndarray]:
-    """Return the points (n, 3) of every link that reaches from somewhere to somewhere else."""
+    """Return the points (n, 3) of every link that has an extent."""
     model = robot.model
     shapes = []
     for joint in range(1, model.njoints):
@@ -173,7 +173,7 @@ def _link(points: np.ndarray) -> Markup:
 
 
 def build_joint_labels(robot: Robot) -> list[str]:
-    """Return what the drawing calls the actuated joints: short names as they are, numbers where they would not fit."""
+    """Return the labels of the actuated joints in the drawing: their names if they are short, else numbers."""
     fits = robot.na <= 4 and all(len(name) <= 8 for name in robot.actuated)
     return list(robot.actuated) if fits else [str(k + 1) for k in range(robot.na)]
 
@@ -203,7 +203,7 @@ def _labels(names: list[str], spots: np.ndarray, tops: np.ndarray) -> list[Marku
 
 
 def draw_vectors(picture: VectorPicture) -> Markup:
-    """Return vectors at places in space, a box around the places, and the axes' names at its lower corner."""
+    """Return vectors at points in space, a box around the points, and the axes' names at its lower corner."""
     low, high = picture.places.min(axis=0), picture.places.max(axis=0)
     corners = compute_box_corners(low, high)
     ends = picture.places + picture.times * picture.vectors

@@ -1,8 +1,9 @@
-"""A presentation in the terminal: the sentence, then the bars, then what is uncertain, then where things are.
+"""A presentation in the terminal: the headline, then the bars, then uncertain results, then written files.
 
-Plain text within 100 columns, a margin, bars of block characters. Nothing is markup, so that no name can style a line or steer
-the terminal; no line ends in blanks. Colour carries meaning only and disappears when the output is piped. Numbers and bars
-stay whole in a narrow terminal: columns that can be spared go, wide tables are split, only words wrap.
+The output is plain text within 100 columns, with a margin and bars of block characters. It is not parsed as markup, so that no
+name can style a line or control the terminal; no line ends in blanks. Colour only marks meaning and is dropped if the output is
+piped. Numbers and bars are never broken in a narrow terminal: optional columns are dropped, wide tables are split, and only
+words wrap.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ from tau_dyn import results as r
 from tau_dyn.render.presentation import present
 
 MARGIN = (0, 0, 0, 2)
-GAP = 3  # columns between two of a table: two of padding, one of the box
+GAP = 3  # columns between two columns of a table: two of padding, one of the box
 MIN_BAR, MAX_BAR = 4, {90: 24, 0: 16}
-"""Shortest bar, and the longest by the columns that there are at least; words take the rest."""
+"""Shortest bar, and the longest bar by the smallest width of the terminal; words take the rest."""
 MAX_SENTENCE = 240  # characters of a sentence in a summary, three lines
 LEVEL_STYLE = {"good": "green", "care": "yellow", "poor": "bold red"}
 ROW_STYLE = {"weak": "dim", "unseen": "dim", "quiet": "dim", "changed": "bold", "start": "", "cause": "", "floor": ""}
@@ -36,10 +37,10 @@ def print_result(console: Console, result: Any, written: Mapping[str, str] | Non
     """Print any result for a person.
 
     Args:
-        console: Where to.
+        console: The console.
         result: The result, or its presentation.
-        written: What was written, such as `{"report": "m.html"}`, for the last lines.
-        options: What `present` may be told of such a result.
+        written: Written files, such as `{"report": "m.html"}`, for the last lines.
+        options: Options of `present` for this kind of result.
     """
     shown = result if isinstance(result, r.Presentation) else present(result, **options)
     about = [shown.about] if shown.about and shown.about not in shown.summary else []
@@ -55,7 +56,7 @@ def print_result(console: Console, result: Any, written: Mapping[str, str] | Non
 
 
 def summarise(result: Any) -> str:
-    """Return a result in a few lines, as `repr` shows it: what it is of, what went in, headline, judgement, warnings."""
+    """Return a result in a few lines, as in `repr`: subject, inputs, headline, verdict, warnings."""
     shown = present(result)
     said = [f"{type(result).__name__}: {shown.about}", shown.summary, shown.headline]
     if shown.verdict is not None:
@@ -75,7 +76,7 @@ def say(console: Console, text: str, style: str = "") -> None:
 
 
 def put(console: Console, what: Said | Grid) -> None:
-    """Print a text or a table after an empty line, within the margin and the width there is."""
+    """Print a text or a table after an empty line, within the margin and the available width."""
     console.print()
     options = console.options.update(width=measure_columns(console))
     for line in console.render_lines(Padding(what, MARGIN, expand=False), options, pad=False):
@@ -83,17 +84,17 @@ def put(console: Console, what: Said | Grid) -> None:
 
 
 def measure_columns(console: Console) -> int:
-    """Return how many columns may be used."""
+    """Return the number of usable columns."""
     return min(console.width, 100)
 
 
 def escape_control_characters(text: str, style: str = "") -> Said:
-    """Return text without control characters, which a file name could use to steer the terminal."""
+    """Return text without control characters, by which a file name could control the terminal."""
     return Said("".join(c if c.isprintable() or c == "\n" else "�" for c in text), style)
 
 
 def draw_meter(share: float, width: int) -> str:
-    """Return a bar as long as a share, 0 to 1, of so many columns; an eighth of a column at least, cut where it is longer."""
+    """Return a bar over a share, 0 to 1, of `width` columns; at least an eighth of a column, cut at the full width."""
     if share > 1:
         return f"{draw_meter(1.0, width - 4)}╱╱{draw_meter(1.0, 2)}"
     eighths = max(1, round(8 * width * max(share, 0.0)))
@@ -114,7 +115,7 @@ def _print_block(console: Console, block: r.Element) -> None:
 
 
 def _build_listing(block: r.Listing) -> Said | Grid:
-    """Return a title with its single sentence behind it, or with several below."""
+    """Return a title followed by its only sentence, or with several sentences below."""
     start = f"{block.title}: " if block.title else ""
     if len(block.items) == 1 or not block.title:
         return escape_control_characters("\n".join(f"{start}{item}" for item in block.items))
@@ -127,7 +128,7 @@ def _build_listing(block: r.Listing) -> Said | Grid:
 
 
 def build_grids(table: r.ResultTable, columns: int) -> list[Grid]:
-    """Return a table as one or more that fit into so many columns."""
+    """Return a table as one or more tables that fit into `columns`."""
     rows = [row for row in table.all_rows if row.on & r.On.TERMINAL]
     rows = rows[: table.most] if table.most else rows
     shown = [k for k, c in enumerate(table.columns) if c.on & r.On.TERMINAL and c.kind != "interval"]
@@ -151,7 +152,7 @@ def _sum(wide: Mapping[int, int], shown: Sequence[int]) -> int:
 
 
 def _measure(column: r.Column, cells: Sequence[r.Cell]) -> int:
-    """Return how wide a column has to be; pieces of text and bars take what is left."""
+    """Return the required width of a column; text and bars share the remaining width."""
     if column.kind in ("bar", "step"):
         return max(MIN_BAR, len(column.title))
     words = [x.badge if isinstance(x, r.Verdict) else x if isinstance(x, str) else "" for x in cells]
@@ -181,7 +182,7 @@ def _build_grid(
 
 
 def _break_names(text: Said, columns: int) -> Said:
-    """Return text in which a word longer than so many columns breaks behind its last `.` or `_` that fits."""
+    """Return text in which a word longer than `columns` breaks after its last `.` or `_` that fits."""
     words = []
     for word in text.plain.split(" "):
         lines = [word]
@@ -207,7 +208,7 @@ def _write(cell: r.Cell, column: r.Column, bar: int, left: int, row: r.Row) -> S
 
 
 def _fit(pieces: Sequence[str], columns: int) -> str:
-    """Return as many pieces as fit, each whole."""
+    """Return as many complete phrases as fit."""
     text = ""
     for piece in pieces:
         longer = f"{text}, {piece}" if text else piece
@@ -218,7 +219,7 @@ def _fit(pieces: Sequence[str], columns: int) -> str:
 
 
 def _trim(line: list[Segment]) -> list[Segment]:
-    """Return a line without the blanks at its end."""
+    """Return a line without trailing blanks."""
     line = list(line)
     while line and not line[-1].text.strip():
         line.pop()

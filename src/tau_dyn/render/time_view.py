@@ -1,7 +1,7 @@
 """The zoomable time view of a page: strips that share a time axis, as data for the script and as drawings for paper.
 
-Series are thinned so that peaks survive (the smallest and the largest sample of each bin, in the order they came) and packed
-as 16-bit numbers. Samples lie on an even grid; where a recording has none, its values are NaN and the curves break.
+Series are decimated such that peaks are kept (the smallest and the largest sample of each bin, in their order) and packed as
+16-bit numbers. Samples are on a uniform grid; in a gap of the recording, values are NaN and the curves are interrupted.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from tau_dyn.log import find_true_runs
 from tau_dyn.render.chart import Chart
 from tau_dyn.results import Line, Spans, View
 
-TOTAL_POINTS = 120_000  # points in a page at most, which keeps it below some MB
-VIEW_POINTS = 8_000  # points of one view at most, several a pixel
-PAPER_POINTS = 1_200  # points of a printed view at most, what paper resolves
-PRINTED_VIEWS = 12  # views printed at most
+TOTAL_POINTS = 120_000  # largest number of points in a page, which limits its size to a few MB
+VIEW_POINTS = 8_000  # largest number of points of one view, several per pixel
+PAPER_POINTS = 1_200  # largest number of points of a printed view, the resolution of paper
+PRINTED_VIEWS = 12  # largest number of printed views
 WIDE = 1000  # width of a drawing in its own units
 THICKNESS = {"measured": 3.0, "predicted": 1.2, "residual": 1.0}
-"""Line widths by the colour's name in the style sheet: the reference lies thick and pale under what follows it."""
+"""Line widths by the colour's name in the style sheet: the reference is drawn thick and pale below the other curves."""
 
 
 def build_payload(views: Sequence[View]) -> list[dict[str, Any]]:
-    """Return what the page's script draws, as plain data for JSON."""
+    """Return the data for the page's script, as plain data for JSON."""
     total = sum(len(s.curves) for view in views for s in view.strips)
     most = int(np.clip(TOTAL_POINTS / max(1, total), 400, VIEW_POINTS))
     return [_build_payload(view, most) for view in views]
@@ -58,7 +58,7 @@ def _build_payload(view: View, most: int) -> dict[str, Any]:
 
 
 def select_printed(views: Sequence[View]) -> list[tuple[View, Markup]]:
-    """Return what paper shows: each joint once, in its first stretch, which is held out where there is one."""
+    """Return the printed views: each joint once, in its first segment, which is held out if there are held-out data."""
     first = {view.joint: view for view in reversed(views)}
     return [(v, _draw(v)) for v in views if first[v.joint] is v][:PRINTED_VIEWS]
 
@@ -83,7 +83,7 @@ def _thin(view: View, most: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def decimate_min_max(t: np.ndarray, columns: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return at most about `most` rows of time (n,) and columns (n, m): two a bin, its extremes in their order."""
+    """Return at most about `most` rows of time (n,) and columns (n, m): two per bin, its extremes in their order."""
     size = int(np.ceil(2 * len(t) / most))
     if len(t) <= most or size < 2:
         return t, columns
@@ -97,7 +97,7 @@ def decimate_min_max(t: np.ndarray, columns: np.ndarray, most: int) -> tuple[np.
 
 
 def find_gaps(t: np.ndarray, usable: np.ndarray, shortest: float = 0.0) -> list[tuple[float, float]]:
-    """Return the intervals [s] that are not usable, those closer together than `shortest` joined."""
+    """Return the intervals [s] that are not usable; intervals closer than `shortest` are joined."""
     found: list[tuple[float, float]] = []
     for run in find_true_runs(~usable):
         start, stop = t[run.start], t[run.stop - 1]
@@ -109,7 +109,7 @@ def find_gaps(t: np.ndarray, usable: np.ndarray, shortest: float = 0.0) -> list[
 
 
 def encode_int16(values: np.ndarray) -> dict[str, Any]:
-    """Return values as base64 of little-endian 16-bit numbers, `value = middle + scale * number`; -32768 stands for NaN."""
+    """Return values as base64 of little-endian 16-bit numbers, `value = middle + scale * number`; -32768 means NaN."""
     there = np.isfinite(values)
     low, high = (float(values[there].min()), float(values[there].max())) if there.any() else (0.0, 0.0)
     middle, scale = (low + high) / 2, (high - low) / 65000 or 1.0

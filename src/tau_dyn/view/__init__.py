@@ -1,4 +1,4 @@
-"""The robot in the browser: sliders, playback of a log, clouds, errors, modes, and where a finding lives (extra `view`)."""
+"""The robot in the browser: sliders, playback of a log, clouds, errors, modes, and the parts of a finding (extra `view`)."""
 
 from lazy_loader import attach_stub
 

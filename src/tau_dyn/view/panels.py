@@ -1,4 +1,4 @@
-"""The panels of results: findings, clouds, error vectors, uncertainty, and modes, swung over the pale robot at rest."""
+"""Panels of results: findings, clouds, error vectors, uncertainty, and modes animated over the pale robot at rest."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ MEASURED, OWN = "measured", "robot file's springs"
 _REACH = 0.07
 """Largest displacement, as a share of the robot's size."""
 _MOVES = 0.04
-"""Share of the largest displacement below which a link is not drawn: it would lie on the one at rest."""
+"""Share of the largest displacement below which a link is not drawn: it would coincide with the link at rest."""
 _PERIOD = 1.6
-"""Time of one swing on the screen at speed 1 [s]; real frequencies are too fast to see."""
+"""Period of a mode on the screen at speed 1 [s]; real frequencies are too fast to see."""
 
 
 class SwingPanel:
     """Plays the modes of one result."""
 
     def __init__(self, viewer: Window, shapes: ShapesOnRobot) -> None:
-        """Add the panel with the first mode swinging."""
+        """Add the panel and animate the first mode."""
         self._viewer, self._shapes, self._phase = viewer, shapes, 0.0
         gui = viewer.server.gui
         titles = [f"{k + 1}. {p.measured.frequency_hz:.4g} Hz" for k, p in enumerate(shapes.pairs)]
@@ -47,19 +47,19 @@ class SwingPanel:
 
     @property
     def swing(self) -> ModeShape:
-        """The shape that is shown; the measured one where the robot file has none."""
+        """The mode shape that is shown; the measured one if the robot file does not give one."""
         pair = self._pairs[self._mode.value]
         return pair.model if self._source.value == OWN and pair.model is not None else pair.measured
 
     def tick(self, seconds: float) -> None:
-        """Go on by so much time [s]."""
+        """Advance the animation by a time [s]."""
         if not self._speed.value:
             return
         self._phase += 2 * np.pi * seconds * float(self._speed.value) / _PERIOD
         self.draw(np.exp(1j * self._phase))
 
     def draw(self, turn: complex) -> None:
-        """Draw the swing at a phase, a complex number of size 1."""
+        """Draw the mode at a phase, given as a complex number of magnitude 1."""
         reach = _REACH * self._viewer.size * float(self._size.value)
         with self._viewer.lock, self._viewer.server.atomic():
             for body, moved in zip(self._bodies, self.swing.links, strict=True):
@@ -79,7 +79,7 @@ class SwingPanel:
         self.draw(np.exp(1j * self._phase))
 
     def _draw_arrows(self, swing: ModeShape) -> None:
-        """Draw how far each sensor swings to either side."""
+        """Draw the amplitude of each sensor in both directions."""
         reach = 2.2 * _REACH * self._viewer.size * float(self._size.value)
         rows = []
         for place, at in self._shapes.skeleton.places.items():
@@ -91,7 +91,7 @@ class SwingPanel:
 
 
 class _Body:
-    """A link of the skeleton: a rod between two points, or the hull of more."""
+    """A link of the skeleton: a rod between two points, or the hull of three or more."""
 
     def __init__(self, viewer: Window, path: str, points: np.ndarray, size: float) -> None:
         self._rest = points
@@ -109,11 +109,11 @@ class _Body:
         self.move(np.zeros_like(points))
 
     def seen(self, visible: bool) -> None:
-        """Show or hide it."""
+        """Show or hide the link."""
         (self._rod or self._hull).visible = visible
 
     def move(self, moved: np.ndarray) -> None:
-        """Move the points by so much (n, 3) [m]; a hull stays rigid."""
+        """Displace the points by (n, 3) [m]; a hull stays rigid."""
         handle = self._rod or self._hull
         now = self._rest + moved
         if self._rod is not None:
@@ -125,7 +125,7 @@ class _Body:
 
 
 def _faces(points: np.ndarray) -> np.ndarray | None:
-    """Return the faces (m, 3) of the hull of points; three or more in a plane make a fan; None on a line."""
+    """Return the faces (m, 3) of the hull of points: a fan for points in a plane, `None` for points on a line."""
     try:
         return ConvexHull(points).simplices
     except (QhullError, ValueError):
@@ -139,11 +139,11 @@ def _faces(points: np.ndarray) -> np.ndarray | None:
 
 NONE = "none"
 _STEPS = tuple(str(int(m * 10**e)) for e in range(6) for m in (1, 2, 5))
-"""By how much arrows may be enlarged."""
+"""Selectable magnifications of arrows."""
 
 
 def add_content(viewer: Window, content: Content) -> Any:
-    """Add one content with its panel, which is returned."""
+    """Add one content and return its panel."""
     if isinstance(content, Findings):
         return FindingsPanel(viewer, content)
     if isinstance(content, Cloud):
@@ -156,13 +156,13 @@ def add_content(viewer: Window, content: Content) -> Any:
 
 
 def _free_name(viewer: Window, stem: str) -> str:
-    """Return a name in the scene that no earlier panel took."""
+    """Return a name in the scene that no earlier panel uses."""
     viewer.names[stem] = viewer.names.get(stem, 0) + 1
     return f"/{stem}{viewer.names[stem]}"
 
 
 class FindingsPanel:
-    """A list of findings; the chosen one's parts light up, with its sentence and a label beside them."""
+    """A list of findings; the parts of the chosen finding are highlighted, with its sentence and a label next to them."""
 
     def __init__(self, viewer: Window, findings: Findings) -> None:
         """Add the panel with the first finding chosen."""
@@ -181,7 +181,7 @@ class FindingsPanel:
                 self.choose(titles[0])
 
     def choose(self, title: str) -> None:
-        """Light what a finding is about."""
+        """Highlight the parts of a finding."""
         row, viewer = self._rows.get(title), self._viewer
         if self._label is not None:
             self._label.remove()
@@ -200,7 +200,7 @@ class FindingsPanel:
 
 
 class CloudPanel:
-    """Points coloured by one of their numbers, with its scale, and a cut to look inside."""
+    """Points coloured by one of their values, with a colour scale and a cutting plane."""
 
     def __init__(self, viewer: Window, cloud: Cloud) -> None:
         """Add the panel and the points."""
@@ -233,7 +233,7 @@ class CloudPanel:
         return gui.add_slider("cut: y above [m]", low, high, (high - low) / 200, low)
 
     def draw(self) -> None:
-        """Draw the points as the panel says."""
+        """Draw the points with the settings of the panel."""
         cloud, by = self._cloud, None if self._by is None else self._by.value
         value = cloud.values.get(by) if by is not None else None
         colours = map_to_colours(value, len(cloud.points))
@@ -288,7 +288,7 @@ class ErrorsPanel:
 
 
 class UncertaintyPanel:
-    """Each link in the colour of how well its mass is known; pale where the data cannot tell."""
+    """Links coloured by the relative standard error of their masses; a link is pale if its mass is not determined."""
 
     def __init__(self, viewer: Window, known: Uncertainty) -> None:
         """Paint the links and add the scale."""
@@ -308,7 +308,7 @@ class UncertaintyPanel:
 
 
 def _spacing(points: np.ndarray) -> float:
-    """Return how far points (n, 3) stand apart [m]."""
+    """Return the spacing of points (n, 3) [m]."""
     if len(points) < 2:
         return 0.05
     away, _ = cKDTree(points).query(points[:3000], k=2)
@@ -316,7 +316,7 @@ def _spacing(points: np.ndarray) -> float:
 
 
 def _edges(box: np.ndarray) -> np.ndarray:
-    """Return the edges (12, 2, 3) of a box by its corners (2, 3)."""
+    """Return the edges (12, 2, 3) of a box with the corners (2, 3)."""
     corner = np.array(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij")).reshape(3, -1).T
     pairs = [(i, j) for i in range(8) for j in range(i) if np.abs(corner[i] - corner[j]).sum() == 1]
     place = np.where(corner == 1, box[1], box[0])

@@ -1,4 +1,4 @@
-"""A log as a motion to play: measured, and beside it a ghost of what was simulated or commanded."""
+"""A log as a motion to play: the measured motion, and a ghost of the simulated or commanded one."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from tau_dyn.robot import Robot
 from tau_dyn.view.scene import Placer, RobotFigure, Window
 from tau_dyn.view.shapes import GHOST, ROLES, escape_html, format_keys
 
-FRAMES_HZ = 30.0  # Hz, as screens and films
+FRAMES_HZ = 30.0  # Hz, a usual frame rate of screens and films
 _TRAIL = 2000
-"""Most points of the tool's path."""
+"""Largest number of points of the tool's path."""
 
 
 @dataclass(frozen=True, eq=False)
 class Playback:
-    """A motion thinned to what an eye sees.
+    """A motion resampled to the frame rate.
 
     Attributes:
         t: Time (n,) [s] from zero.
         q: Measured actuated positions (n, na).
-        ghost: Others at the same times (n, na), or None.
-        ghost_is: What they are: `simulated` or `commanded`.
+        ghost: Simulated or commanded positions at the same times (n, na), or None.
+        ghost_is: Kind of the ghost: `simulated` or `commanded`.
     """
 
     t: np.ndarray
@@ -36,11 +36,11 @@ class Playback:
     ghost_is: str = "commanded"
 
     def at(self, t: float) -> int:
-        """Return the number of the picture at a time [s]."""
+        """Return the index of the frame at a time [s]."""
         return min(int(np.searchsorted(self.t, t - 1e-9)), len(self.t) - 1)
 
     def apart(self) -> np.ndarray | None:
-        """Return the largest distance of the ghost from what was measured, by joint (na,)."""
+        """Return the largest deviation of the ghost from the measured positions, by joint (na,)."""
         return None if self.ghost is None else np.nanmax(np.abs(self.ghost - self.q), axis=0)
 
 
@@ -48,9 +48,9 @@ def build_playback(log: Log, robot: Robot, simulated: Log | None = None) -> Play
     """Return a log as a playback of this robot.
 
     Args:
-        log: With the position of every actuated joint.
+        log: A log with the position of every actuated joint.
         robot: The robot.
-        simulated: A log of the same motion from the same start, whose positions are the ghost; without it the references are.
+        simulated: A log of the same motion from the same start. Its positions are the ghost; the default is the references.
 
     Raises:
         InputError: A log lacks a joint's position, or the logs share no time.
@@ -65,7 +65,7 @@ def build_playback(log: Log, robot: Robot, simulated: Log | None = None) -> Play
 
 
 def _resampled(log: Log, robot: Robot, t: np.ndarray) -> np.ndarray:
-    """Return a log's positions at other times (n, na), nan after its end."""
+    """Return a log's positions at other times (n, na); nan after the end of the log."""
     own, q = log.t - log.t[0], log.joint("q", robot.actuated)
     if own[-1] <= 0:
         raise InputError("too_little_data", "the simulated log has no duration; simulate the motion that was measured")
@@ -73,7 +73,7 @@ def _resampled(log: Log, robot: Robot, t: np.ndarray) -> np.ndarray:
 
 
 def compute_trail(robot: Robot, q: np.ndarray) -> np.ndarray:
-    """Return the tool's path (m, 3) [m] along positions (n, na); empty without a tool or where it leaves its reach."""
+    """Return the tool's path (m, 3) [m] along positions (n, na), without unreachable positions; empty without a tool."""
     if robot.tool_frame is None or not len(q):
         return np.zeros((0, 3))
     thin = q[:: max(1, len(q) // _TRAIL)]
@@ -90,11 +90,11 @@ class Player:
 
     Attributes:
         playback: The motion.
-        playing: Whether it runs.
+        playing: Whether the motion is running.
     """
 
     def __init__(self, viewer: Window, playback: Playback) -> None:
-        """Add the panel and show the first picture."""
+        """Add the panel and show the first frame."""
         self._viewer, self.playback, self.playing, self._drawn = viewer, playback, False, float("nan")
         gui, end = viewer.server.gui, max(float(playback.t[-1]), 1e-3)
         with gui.add_folder("playback"):
@@ -158,7 +158,7 @@ class Player:
             try:
                 self._ghost.move(self._place(q + float(self._enlarged.value) * (other - q)))
             except (TauDynError, ValueError):
-                return  # beyond reach, or after its end: the ghost waits where it was
+                return  # out of reach, or after the end of the log: the ghost keeps its last pose
 
     def _toggle(self, _: Any) -> None:
         self.playing = not self.playing

@@ -1,6 +1,6 @@
-"""What a result shows on the robot: read from a command's JSON or a table of points, whichever command it comes from.
+"""Results to show on the robot, read from the JSON of a command or from a table of points.
 
-What the file leaves out is worked out again from the robot: coarsely, and only when asked.
+Data that the file lacks are recomputed from the robot: coarsely, and only on request.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from tau_dyn.robot import Robot
 
 @dataclass(frozen=True)
 class ViewedFinding:
-    """What a result says of some parts.
+    """A finding about some parts of the robot.
 
     Attributes:
-        title: The cause and how sure it is.
-        sentence: What a colleague would say, or ''.
-        parts: Names of the joints, links or rods that it is about.
+        title: The cause and its status.
+        sentence: The finding in one sentence, or ''.
+        parts: Names of the affected joints, links or rods.
     """
 
     title: str
@@ -37,7 +37,7 @@ class ViewedFinding:
 
 @dataclass(frozen=True)
 class Findings:
-    """All findings of a result, and the sentence above them."""
+    """All findings of a result, and the headline above them."""
 
     headline: str
     rows: tuple[ViewedFinding, ...]
@@ -45,15 +45,15 @@ class Findings:
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Points in space, with numbers to colour them by.
+    """Points in space, with values to colour them by.
 
     Attributes:
-        name: What it is.
+        name: Name of the cloud.
         points: (n, 3) [m].
-        values: What may colour them (n,), by its name with the unit.
-        note: What is to be said of it, or ''.
-        box: Two corners (2, 3) [m] around all of it, or None.
-        flat: Whether it is a section, whose points are drawn side by side.
+        values: Values (n,) that may colour the points, by name with unit.
+        note: A remark on the cloud, or ''.
+        box: Two corners (2, 3) [m] of the bounding box, or None.
+        flat: Whether the cloud is a section, whose points are drawn side by side.
     """
 
     name: str
@@ -66,10 +66,10 @@ class Cloud:
 
 @dataclass(frozen=True, eq=False)
 class ErrorVectors:
-    """Measured minus predicted places of the tool.
+    """Measured minus predicted positions of the tool.
 
     Attributes:
-        points: Where (n, 3) [m], in the robot's base frame.
+        points: Measured positions (n, 3) [m] in the robot's base frame.
         models: Error vectors (n, 3) [m] by model, from the one with the file's dimensions to the chosen one.
     """
 
@@ -79,7 +79,7 @@ class ErrorVectors:
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """How well each part's mass is known: relative standard error by link; nan where the data cannot tell."""
+    """Relative standard error of each link's mass; nan if the mass is not determined."""
 
     links: dict[str, float]
 
@@ -92,11 +92,11 @@ _ACROSS = 16
 
 
 def recompute_workspace(robot: Robot, resolution: float, box: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Return points (n, 3) [m] inside the workspace, and their condition number by name.
+    """Return points (n, 3) [m] inside the workspace, and their values by name: the condition number.
 
     Args:
         robot: The robot.
-        resolution: Of the result [m]; no finer one is used.
+        resolution: Resolution of the result [m]; the recomputed points are not finer.
         box: Corners (2, 3) [m] of the workspace.
     """
     from tau_dyn.kinematics.workspace import build_points_table, study_workspace
@@ -109,12 +109,12 @@ def recompute_workspace(robot: Robot, resolution: float, box: np.ndarray) -> tup
 
 
 def recompute_calibration(content: dict[str, Any], robot: Robot, path: Path) -> dict[str, Any]:
-    """Return the errors of the robot file's dimensions at the measured poses, its base where they are smallest.
+    """Return the pose errors of the uncalibrated robot file at the measured poses, with the base frame that fits best.
 
-    The poses are read from where the result says they lie, and must be the same file still.
+    The poses are read from the path that the result names. The file must be unchanged.
 
     Raises:
-        InputError: They are not.
+        InputError: The result names no file of poses, or the file has changed.
     """
     from tau_dyn.calibrate import align, as_poses
     from tau_dyn.mechanism import forward_kinematics
@@ -129,7 +129,7 @@ def recompute_calibration(content: dict[str, Any], robot: Robot, path: Path) -> 
         )
     found = forward_kinematics(robot, poses.q)
     at, seen = found.poses.position[found.ok], poses.position[found.ok]
-    device = align(at, seen)  # the base frame where the measuring device's points fit best
+    device = align(at, seen)  # places the measuring device such that its points fit best in the base frame
     points = seen @ np.asarray(device.rotation).T + device.translation
     return {"points": points, "models": {"robot file": points - at}}
 
@@ -142,15 +142,15 @@ _MAX_CLOUD_BYTES = 2**30  # bytes of a point file read at most
 
 
 def read_result(path: Path, robot: Robot, *, compute: bool = False) -> list[Content]:
-    """Return what a result holds for this robot.
+    """Return the contents of a result for this robot.
 
     Args:
-        path: Written by `--json` of diagnose, workspace, accuracy, calibrate, modes or identify.
+        path: A file written by `--json` of diagnose, workspace, accuracy, calibrate, modes or identify.
         robot: The robot to show it on.
-        compute: Work out what the file lacks: coarse points of a workspace, errors of the uncalibrated robot.
+        compute: Compute data that the file lacks: coarse points of a workspace, errors of the uncalibrated robot.
 
     Raises:
-        InputError: The file is not such a result, holds nothing to show, or belongs to another robot.
+        InputError: The file is not such a result, has no content to show, or belongs to another robot.
     """
     content = _content(path)
     command = content.get("command")
@@ -169,12 +169,12 @@ def read_result(path: Path, robot: Robot, *, compute: bool = False) -> list[Cont
 
 
 def read_cloud(path: Path) -> Cloud:
-    """Return the points of a table with x y z or x_tool y_tool z_tool, coloured by its further columns of numbers.
+    """Return the points of a table with x y z or x_tool y_tool z_tool; its other numeric columns are values to colour by.
 
-    A column `inside` of 0 and 1, as `workspace --out` writes it, leaves out the points outside; so does an empty coordinate.
+    Points with 0 in a column `inside`, which `workspace --out` writes, are left out, and points with an empty coordinate.
 
     Raises:
-        InputError: The file is not such a table.
+        InputError: The file has no such columns, is too large, or holds text in a numeric column.
     """
     table = read_table(path, most=_MAX_CLOUD_BYTES)
     sets = (("x_tool", "y_tool", "z_tool"), ("x", "y", "z"))
@@ -188,14 +188,14 @@ def read_cloud(path: Path) -> Cloud:
     numbers = {column: values for column, values in columns.items() if values is not None}
     for name in names:
         if name not in numbers or np.any(np.abs(numbers[name]) >= MAX_MAGNITUDE):
-            table.numbers(name)  # says where the text or the giant stands
+            table.numbers(name)  # raises, with the row of the text or the excessive number
     shown = np.arange(len(table.places))
     if "inside" in numbers and set(numbers["inside"]) <= {0, 1}:
         shown = np.flatnonzero(numbers.pop("inside"))
     shown = shown[:: max(1, len(shown) // _MAX_POINTS)]
     shown = shown[np.isfinite([numbers[name][shown] for name in names]).all(axis=0)]
     points = np.column_stack([numbers.pop(name)[shown] for name in names])
-    coloured = sorted(numbers, key=lambda column: column.startswith("q_"))  # what is asked for first, then the pose
+    coloured = sorted(numbers, key=lambda column: column.startswith("q_"))  # maps first, then the pose
     return Cloud(path.name, points, {column: numbers[column][shown] for column in coloured})
 
 
@@ -219,7 +219,7 @@ def _diagnose(content: dict[str, Any], robot: Robot, path: Path, compute: bool) 
 
 
 def _finding(row: dict[str, Any], robot: Robot) -> ViewedFinding:
-    """Return a finding; one without joints is about the parts that its parameters belong to."""
+    """Return a finding; if it names no joints, its parts are the owners of its parameters."""
     joints = tuple(map(str, row["joints"]))
     if not joints:
         names = [str(p["name"]).partition(".")[0] for p in row.get("parameters", ())]
@@ -233,7 +233,7 @@ def _finding(row: dict[str, Any], robot: Robot) -> ViewedFinding:
 
 
 def _parts(name: str, robot: Robot) -> list[str]:
-    """Return the parts that a parameter's owner is: `arm2` of a Gantry-Tau is its cart and its rods."""
+    """Return the parts of a parameter's owner: `arm2` of a Gantry-Tau is its cart and its rods."""
     if not name.startswith("arm") or name in robot.model.names or not name[3:].isdigit():
         return [name]
     number = name[3:]
@@ -242,10 +242,10 @@ def _parts(name: str, robot: Robot) -> list[str]:
 
 
 def _list_elastic_clouds(content: dict[str, Any]) -> list[Cloud]:
-    """Return the places at which a workspace's springs were linearised, with stiffness, sag and resonances; none if unknown."""
+    """Return the points at which a workspace's springs were linearised, with stiffness, sag and resonances, if known."""
     found = content.get("elastic_map") or {}
     points = np.array(found.get("points", []), float).reshape(-1, 3)
-    if not len(points) or "coordinates" in content:  # coordinates that are no places of the tool cannot be drawn
+    if not len(points) or "coordinates" in content:  # coordinates other than positions of the tool cannot be drawn
         return []
     units = {str(row["map"]): str(row["unit"]) for row in content.get("maps", [])}
     values = {

@@ -1,6 +1,6 @@
-"""Where every shape is at given actuated positions, loops closed; shapes in viser's scene, added once, then moved and painted.
+"""Poses of all shapes at given actuated positions, with closed loops; shapes in viser's scene, added once, then moved.
 
-A `Window` is what a panel needs of the viewer, so that panels do not import it.
+`Window` is the protocol that panels need of the viewer, so that they do not import it.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from tau_dyn.mechanism import LoopSolver
 from tau_dyn.robot import Robot
 from tau_dyn.view.shapes import NAMED, QUIET, Rgb, Shape
 
-_MIN_LABEL_DISTANCE_M = 1e-3  # m; labels of joints nearer than this would cover each other
+_MIN_LABEL_DISTANCE_M = 1e-3  # m; labels of joints that are closer would cover each other
 ShapePoses = list[tuple[np.ndarray, np.ndarray]]
 """Position (3,) [m] and quaternion (4,) w x y z in the world, of each shape."""
 
 
 class Placer:
-    """Places a robot's shapes."""
+    """Computes the poses of a robot's shapes."""
 
     def __init__(self, robot: Robot, shapes: Sequence[Shape]) -> None:
         """Prepare for a robot and its shapes."""
@@ -30,7 +30,7 @@ class Placer:
         self._local = [s.local for s in self.shapes]
 
     def __call__(self, q: np.ndarray) -> ShapePoses:
-        """Return where each shape is at actuated positions (na,).
+        """Return the pose of each shape at actuated positions (na,).
 
         Raises:
             LoopClosureError: The robot cannot reach these positions.
@@ -51,11 +51,11 @@ class Placer:
         return self._solver.data.oMi[self.robot.model.getJointId(joint)].copy()
 
     def at(self, joint: str) -> np.ndarray:
-        """Return where a joint is at the last call (3,) [m]."""
+        """Return a joint's position at the last call (3,) [m]."""
         return self._solver.data.oMi[self.robot.model.getJointId(joint)].translation.copy()
 
     def moved_by(self, joint: str) -> list[int]:
-        """Return which shapes a joint carries itself: up to the next actuated joint, to show where it is."""
+        """Return the indices of the shapes that a joint carries, up to the next actuated joint."""
         model, mine = self.robot.model, self.robot.model.getJointId(joint)
         others = {model.getJointId(j) for j in self.robot.actuated} - {mine}
         carried = {mine}
@@ -65,7 +65,7 @@ class Placer:
         return [k for k, s in enumerate(self.shapes) if s.joint in carried]
 
     def carried_by(self, part: str) -> list[int]:
-        """Return the shapes of a joint, link or rod of this name; none where the robot has no such part."""
+        """Return the indices of the shapes of a joint, link or rod; an empty list if the robot has no such part."""
         model = self.robot.model
         if part in self.robot.actuated:
             return self.moved_by(part)
@@ -82,7 +82,7 @@ def convert_pose(place: pin.SE3) -> tuple[np.ndarray, np.ndarray]:
 
 
 def convert_to_wxyz(turn: pin.Quaternion) -> np.ndarray:
-    """Return a quaternion's numbers (4,) w x y z, the order of viser."""
+    """Return a quaternion's components (4,) in the order of viser, w x y z."""
     x, y, z, w = turn.coeffs()
     return np.array([w, x, y, z])
 
@@ -97,7 +97,7 @@ class RobotFigure:
     def __init__(
         self, scene: Any, name: str, shapes: Sequence[Shape], *, colour: Rgb | None = None, opacity: float = 1.0
     ) -> None:
-        """Add the shapes under a name; a colour makes them all alike, as a ghost is."""
+        """Add the shapes under a name; a colour, such as that of a ghost, applies to all of them."""
         self._shapes, self._own = tuple(shapes), [colour or s.colour for s in shapes]
         see_through = None if opacity >= 1 else opacity
         self.handles = [
@@ -111,26 +111,26 @@ class RobotFigure:
             handle.position, handle.wxyz = position, turn
 
     def light(self, named: Collection[int]) -> None:
-        """Paint the named shapes in one colour and let the others step back; with none all have their own again."""
+        """Highlight the named shapes and make the others pale; an empty collection restores all colours."""
         for k, handle in enumerate(self.handles):
             handle.color = self._own[k] if not named else NAMED if k in named else _pale(self._own[k])
 
     def paint(self, colours: dict[int, Rgb]) -> None:
-        """Paint these shapes, all others pale."""
+        """Paint these shapes and make all others pale."""
         for k, handle in enumerate(self.handles):
             handle.color = colours.get(k, QUIET)
 
     def seen(self, visible: bool) -> None:
-        """Show or hide it."""
+        """Show or hide the robot."""
         for handle in self.handles:
             handle.visible = visible
 
 
 class JointFrames:
-    """The actuated joints' frames with their names, shown when asked for."""
+    """The frames of the actuated joints with their names, shown on request."""
 
     def __init__(self, scene: Any, placer: Placer, length: float) -> None:
-        """Add them, hidden; axes of this length [m]: x red, y green, z blue. Joints in one place share a label."""
+        """Add the frames, hidden; axes of this length [m]: x red, y green, z blue. Coincident joints share a label."""
         self._joints, names = placer.robot.actuated, dict[tuple[int, ...], tuple[int, list[str]]]()
         self.handles = []
         for k, joint in enumerate(self._joints):
@@ -146,18 +146,18 @@ class JointFrames:
         ]
 
     def move(self, placer: Placer) -> None:
-        """Move them to where the placer has the joints."""
+        """Move the frames to the placer's joints."""
         for joint, handle in zip(self._joints, self.handles, strict=True):
             handle.position, handle.wxyz = convert_pose(placer.pose(joint))
 
     def seen(self, visible: bool) -> None:
-        """Show or hide them."""
+        """Show or hide the frames."""
         for handle in (*self.handles, *self.labels):
             handle.visible = visible
 
 
 class Window(Protocol):
-    """What a panel needs of the viewer; its attributes are those of `Viewer`."""
+    """The interface that a panel needs of the viewer; its attributes are those of `Viewer`."""
 
     robot: Robot
     server: Any
@@ -168,19 +168,19 @@ class Window(Protocol):
     names: dict[str, int]
 
     def show(self, q: np.ndarray) -> bool:
-        """Show the robot at actuated positions (na,); return whether it can be there."""
+        """Show the robot at actuated positions (na,); return False if it cannot reach them."""
         ...
 
     def light(self, parts: Iterable[str]) -> list[int]:
-        """Colour what these parts carry; return the shapes that are lit."""
+        """Highlight the shapes of these parts; return their indices."""
         ...
 
     def widen(self, points: np.ndarray) -> None:
-        """Have points (n, 3) [m] in sight too."""
+        """Extend the view to points (n, 3) [m]."""
         ...
 
     def every_frame(self, ticker: Callable[[float], None]) -> None:
-        """Have a function called for every picture with the time since the last [s]."""
+        """Register a function that is called for every frame with the time since the last one [s]."""
         ...
 
 
@@ -202,23 +202,23 @@ def _pale(colour: Rgb) -> Rgb:
 
 
 def compute_link_pose(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return position (3,) and quaternion (4,) of what lies along z from one point to another."""
+    """Return position (3,) and quaternion (4,) of a shape whose z axis points from one point to another."""
     return (start + end) / 2, convert_to_wxyz(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end - start))
 
 
 def light_scene(scene: Any, shadows: bool) -> None:
-    """Light from above, and from all sides so that no face is black."""
+    """Add light from above, and ambient light so that no face is black."""
     scene.configure_default_lights(cast_shadow=shadows)
     scene.add_light_ambient("/daylight", intensity=0.55)
 
 
 def compute_outline(shapes: Sequence[Shape], placed: ShapePoses) -> np.ndarray:
-    """Return the corners (n, 3) [m] of shapes where they are."""
+    """Return the corners (n, 3) [m] of shapes at their poses."""
     return np.concatenate([_corners(s, p, w) for s, (p, w) in zip(shapes, placed, strict=True)])
 
 
 def add_floor(scene: Any, low: np.ndarray, high: np.ndarray) -> None:
-    """Add a grid under what reaches from one corner (3,) to the other, in cells of 1, 10 or 100 mm, cm or m."""
+    """Add a grid under the box from one corner (3,) to the other, with cells of 1, 10 or 100 mm, cm or m."""
     reach, middle = float(np.linalg.norm(high - low)), (low + high) / 2
     cell = float(10.0 ** np.floor(np.log10(reach / 2.5)))
     scene.add_grid(

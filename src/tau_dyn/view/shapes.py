@@ -1,11 +1,11 @@
-"""What is drawn of a robot, coloured by what it does: the file's solids, and what an eye looks for beside them.
+"""The shapes of a robot, coloured by their function: the visuals of its file, and joints, arms and motors in addition.
 
-What the file draws is taken as it is, meshes too, in its own colours where it has some. A visual named `envelope` is the room
-that a part takes, for programs that know nothing better: here the part is drawn through its joints instead, as the hull of
-balls in them, where it has three or more. A body without any visual is drawn as sticks from its own joint to those that it
-carries. Balls in joints, arms of bodies to them, and motors follow from the tree.
+Visuals of the file, meshes included, are drawn unchanged, in their own colours if they have any. A visual named `envelope`
+is the space that a part occupies, for other programs. Here the part is drawn as the hull of balls in its joints if it has
+three or more. A body without a visual is drawn as sticks from its own joint to the joints that it carries. Balls in joints,
+arms from bodies to them, and motors follow from the tree.
 
-Colours by what a part does, and the scale that colours numbers.
+The module also holds the colours by function, and the scale that maps values to colours.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ ROLES: dict[str, Rgb] = {
     "passive": (120, 140, 165),
     "ball": (214, 218, 224),
 }
-"""What a part of the robot does -> its colour; the robot files' own materials are the same."""
+"""Function of a part -> colour; the materials in the robot files are the same."""
 CASING: Rgb = (226, 229, 233)
-"""An arm's meshes of which the robot file gives no colour."""
+"""Colour of an arm's meshes if the robot file gives none."""
 NAMED: Rgb = (214, 40, 57)
 GHOST: Rgb = (22, 160, 110)
 QUIET: Rgb = (196, 202, 210)
-"""Where a finding lives, the simulated or commanded robot, and what steps back so that something else is seen."""
+"""Colours of the parts of a finding, of the simulated or commanded robot, and of shapes in the background."""
 
 _VIRIDIS = np.array(
     [[68, 1, 84], [72, 40, 120], [62, 74, 137], [49, 104, 142], [38, 130, 142], [31, 158, 137], [53, 183, 121],
@@ -46,7 +46,7 @@ _VIRIDIS = np.array(
 
 
 def map_to_colours(value: np.ndarray | None, n: int) -> np.ndarray:
-    """Return colours (n, 3) of values (n,) from violet (least) to yellow (most); one colour where there are none."""
+    """Return colours (n, 3) of values (n,) from violet (smallest) to yellow (largest); one colour without values."""
     if value is None or not np.isfinite(value).any():
         return np.tile(np.array([90, 140, 200], np.uint8), (n, 1))
     low, high = compute_scale_limits(value)
@@ -57,7 +57,7 @@ def map_to_colours(value: np.ndarray | None, n: int) -> np.ndarray:
 
 
 def compute_scale_limits(value: np.ndarray) -> tuple[float, float]:
-    """Return where the scale begins and ends: all values but the outermost hundredth, which would flatten the rest."""
+    """Return both ends of the scale: the 1st and 99th percentile, since outliers would flatten the rest."""
     low, high = np.nanquantile(value[np.isfinite(value)], [0.01, 0.99])
     return float(low), float(high)
 
@@ -74,19 +74,19 @@ def format_legend(name: str, value: np.ndarray) -> str:
 
 
 def format_keys(rows: dict[str, Rgb]) -> str:
-    """Return names beside their colours as HTML. The names are escaped."""
+    """Return names with their colours as HTML. The names are escaped."""
     style = "display:inline-block;width:10px;height:10px;border-radius:5px;margin-right:6px"
     dot = f'<span style="{style};background:rgb({{}},{{}},{{}})"></span>'
     return format_panel("".join(f"<div>{dot.format(*rgb)}{escape(name)}</div>" for name, rgb in rows.items()))
 
 
 def escape_html(text: str) -> str:
-    """Return one sentence from outside as HTML that is only text."""
+    """Return a sentence from outside as escaped HTML."""
     return format_panel(escape(" ".join(text.split())))
 
 
 def format_panel(html: str) -> str:
-    """Return HTML in the window's small type; whoever calls has escaped what came from outside."""
+    """Return HTML in the small type of the window; the caller escapes text from outside."""
     return f'<div style="font-size:0.85em;line-height:1.45;padding:0.2em 0.9em 0.4em">{html}</div>'
 
 
@@ -102,12 +102,12 @@ class Shape:
         kind: `box`, `cylinder` (along z), `sphere`, `hull` or `mesh`.
         size: Side lengths (3,), radius and height (2,), radius (1,) [m]; for a hull or mesh its vertices (n, 3) [m].
         joint: Pinocchio's index of the joint; 0 for the world.
-        rotation: In the joint's frame (3, 3).
-        position: In the joint's frame (3,) [m].
-        role: What it does: a key of `palette.ROLES`.
+        rotation: Rotation in the joint's frame (3, 3).
+        position: Position in the joint's frame (3,) [m].
+        role: Function: a key of `ROLES`.
         colour: Its colour.
-        faces: Of a hull or mesh (m, 3), counted outwards; else empty.
-        envelope: Whether it stands for something better.
+        faces: Faces (m, 3) of a hull or mesh, oriented outwards; else None.
+        envelope: Whether it is only the space that a part occupies; see the module.
     """
 
     kind: str
@@ -122,12 +122,12 @@ class Shape:
 
     @property
     def local(self) -> pin.SE3:
-        """Where it is in the joint's frame."""
+        """Pose in the joint's frame."""
         return pin.SE3(self.rotation, self.position)
 
     @property
     def half(self) -> np.ndarray:
-        """Half the sides of the box around it (3,) [m]; of a hull or mesh nothing."""
+        """Half the side lengths of its bounding box (3,) [m]; zero for a hull or mesh."""
         if self.kind == "box":
             return self.size / 2
         if self.kind == "cylinder":
@@ -135,13 +135,13 @@ class Shape:
         return np.full(3, self.size[0]) if self.kind == "sphere" else np.zeros(3)
 
     def nearest(self, point: np.ndarray) -> np.ndarray:
-        """Return its point nearest to a point (3,) of the joint's frame; a cylinder's lies on its axis."""
+        """Return its point nearest to a point (3,) of the joint's frame; for a cylinder, the nearest point of its axis."""
         half = self.half * (np.array([0.0, 0.0, 1.0]) if self.kind == "cylinder" else 1.0)
         return self.local.act(np.clip(self.local.actInv(point), -half, half))
 
 
 def build_visual_shapes(robot: Robot, visuals: Sequence[Visual] | None = None) -> list[Shape]:
-    """Return what the file draws, read already or not; a mesh that cannot be read is left out."""
+    """Return the shapes of the file's visuals, which are read if not given; an unreadable mesh is left out."""
     rooms, role = _list_envelopes(robot), list_body_roles(robot)
     found = []
     for visual in read_visuals(robot)[0] if visuals is None else visuals:
@@ -154,7 +154,7 @@ def build_visual_shapes(robot: Robot, visuals: Sequence[Visual] | None = None) -
 
 
 def list_body_roles(robot: Robot) -> list[str]:
-    """Return what each joint's body does (njoints,): read from the tree, not from names."""
+    """Return the function of each joint's body (njoints,), which follows from the tree, not from names."""
     model, driven = robot.model, {robot.model.getJointId(j) for j in robot.actuated}
     ends = [model.frames[f].parentJoint for loop in robot.loops for f in (loop.frame_a, loop.frame_b)]
     tool = None if robot.tool_frame is None or not robot.loops else model.frames[robot.tool_frame].parentJoint
@@ -176,7 +176,7 @@ def _telescopes(robot: Robot, joint: int, driven: set[int]) -> bool:
 
 
 def _list_envelopes(robot: Robot) -> set[str]:
-    """Return the visuals named `envelope`, by link and place."""
+    """Return the visuals named `envelope` in the robot file, as `LINK_NUMBER`."""
     links = {
         link.get("name", ""): link.findall("visual") for link in fromstring(robot.urdf, forbid_dtd=True).findall("link")
     }
@@ -211,15 +211,15 @@ STICK = 0.012
 _ROUND = 8
 """Directions around a ball of a hull, and half as many layers."""
 _BALL, _BRACKET, _MOTOR = 1.5, 0.9, 1.5
-"""Radii, in rods' (balls, brackets) and arms' radii (motors)."""
+"""Radii, relative to the radius of rods (balls, brackets) and of arms (motors)."""
 _MAX_DUPLICATE_DISTANCE_M = 1e-6
-"""Distance [m] below which two joints are one place."""
+"""Distance [m] below which two joints coincide."""
 _DRUM = (104, 112, 124)
 
 
 @dataclass(frozen=True, eq=False)
 class _Spot:
-    """A joint that a body holds: where, and whether it turns freely there (a ball is drawn)."""
+    """A joint that a body holds: its position, and whether it turns freely (a ball is drawn)."""
 
     body: int
     place: np.ndarray
@@ -227,7 +227,7 @@ class _Spot:
 
 
 def build_furniture(robot: Robot, visuals: Sequence[Visual] | None = None) -> tuple[Shape, ...]:
-    """Return everything that is drawn of a robot: what its file draws, and its furniture."""
+    """Return all shapes of a robot: the visuals of its file, and arms, balls, motors and sticks."""
     drawn, role = build_visual_shapes(robot, visuals), list_body_roles(robot)
     spots, thin = _spots(robot, role), _thickness(robot, drawn)
     bare = set(range(1, robot.model.njoints)) - {shape.joint for shape in drawn}
@@ -239,7 +239,7 @@ def build_furniture(robot: Robot, visuals: Sequence[Visual] | None = None) -> tu
 
 
 def _spots(robot: Robot, role: list[str]) -> list[_Spot]:
-    """Return which joints each body holds: those of its children that turn or are driven, ends of loops, the tool."""
+    """Return the joints that each body holds: its children's joints that turn or are driven, ends of loops, the tool."""
     model, driven = robot.model, {robot.model.getJointId(j) for j in robot.actuated}
     ends = [(f, model.frames[f]) for loop in robot.loops for f in (loop.frame_a, loop.frame_b)]
     at_rod = {loop.frame_a for loop in robot.loops}  # either end of a loop: one ball for both
@@ -247,7 +247,7 @@ def _spots(robot: Robot, role: list[str]) -> list[_Spot]:
     for joint in range(1, model.njoints):
         slides = model.joints[joint].shortname().startswith("JointModelP")
         body, place = model.parents[joint], model.jointPlacements[joint].translation.copy()
-        hangs = role[joint] == "plate" and role[body] in ("frame", "plate")  # the plate's own chain holds nothing
+        hangs = role[joint] == "plate" and role[body] in ("frame", "plate")  # the plate's own chain supports no load
         own = np.linalg.norm(place) < _MAX_DUPLICATE_DISTANCE_M and body > 0  # the second axis of a universal joint
         if not slides and not hangs and not own:
             found.append(_Spot(body, place, role[joint] == "rod" and joint not in driven))
@@ -258,13 +258,13 @@ def _spots(robot: Robot, role: list[str]) -> list[_Spot]:
 
 
 def _thickness(robot: Robot, drawn: list[Shape]) -> float:
-    """Return the radius [m] of a rod: as drawn, else by the robot's size."""
+    """Return the radius [m] of a rod: that of the file's visuals, else a share of the robot's size."""
     rods = [s.size[0] for s in drawn if s.role == "rod" and s.kind == "cylinder"]
     return float(np.median(rods)) if rods else STICK * _size(robot) / 2
 
 
 def _size(robot: Robot) -> float:
-    """Return the longest distance [m] from a joint to one it carries or to an end of a loop on it."""
+    """Return the longest distance [m] from a joint to a joint that it carries or to an end of a loop on it."""
     model = robot.model
     frames = [model.frames[f].placement.translation for loop in robot.loops for f in (loop.frame_a, loop.frame_b)]
     if robot.tool_frame is not None:
@@ -274,7 +274,7 @@ def _size(robot: Robot) -> float:
 
 
 def _hull(shape: Shape, places: list[np.ndarray], thin: float) -> Shape | None:
-    """Return the hull of balls in these places, or nothing where they are on a line or fewer than three."""
+    """Return the hull of balls at these points, or `None` if they are on a line or fewer than three."""
     if len(places) < 3 or np.linalg.matrix_rank(np.array(places) - np.mean(places, axis=0), tol=thin) < 2:
         return None
     points = np.concatenate([p + _BALL * thin * _sphere() for p in places])
@@ -302,7 +302,7 @@ def _sphere() -> np.ndarray:
 
 
 def _balls(spots: list[_Spot], thin: float) -> list[Shape]:
-    """Return a ball in every joint of a rod, once."""
+    """Return one ball for every joint of a rod."""
     seen: set[tuple[int, ...]] = set()
     found = []
     for spot in (s for s in spots if s.ball):
@@ -315,7 +315,7 @@ def _balls(spots: list[_Spot], thin: float) -> list[Shape]:
 
 
 def _brackets(drawn: list[Shape], spots: list[_Spot], thin: float) -> list[Shape]:
-    """Return arms from what is drawn of a body to the joints beside it."""
+    """Return arms from the shapes of a body to its joints outside of them."""
     found = []
     for spot in spots:
         own = [s for s in drawn if s.joint == spot.body]
@@ -336,7 +336,7 @@ def _axis_radius(shape: Shape) -> float:
 
 
 def _motors(robot: Robot, drawn: list[Shape]) -> list[Shape]:
-    """Return a drum about every driven turn, as thick as what it turns."""
+    """Return a cylinder about the axis of every driven revolute joint, sized by the shape that it turns."""
     model, found = robot.model, []
     for name in robot.actuated:
         joint = model.getJointId(name)
@@ -352,7 +352,7 @@ def _motors(robot: Robot, drawn: list[Shape]) -> list[Shape]:
 
 
 def _axis(model: pin.Model, joint: int) -> np.ndarray | None:
-    """Return the axis (3,) of a turning joint in its own frame, None for others."""
+    """Return the axis (3,) of a revolute joint in its own frame, None for other joints."""
     if not model.joints[joint].shortname().startswith("JointModelR"):
         return None
     data = model.createData()
@@ -362,7 +362,7 @@ def _axis(model: pin.Model, joint: int) -> np.ndarray | None:
 
 
 def _sticks(robot: Robot, joints: set[int], role: list[str]) -> list[Shape]:
-    """Return sticks from these joints to what they carry."""
+    """Return sticks from these joints to the joints that they carry."""
     model = robot.model
     ends = [f for loop in robot.loops for f in (loop.frame_a, loop.frame_b)]
     ends += [] if robot.tool_frame is None else [robot.tool_frame]

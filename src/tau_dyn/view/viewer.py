@@ -1,7 +1,8 @@
-"""The window: a viser server with the robot, its sliders, and what is shown beside it.
+"""The window: a viser server with the robot, its sliders, and the panels of results.
 
-Loopback only unless another address is given: whoever reaches the port sees the robot and moves the sliders. viser's sharing
-through a relay on the internet is switched off. Text from files reaches the page as text: labels as they are, panels escaped.
+The server listens on loopback unless another address is given: anyone who reaches the port sees the robot and moves the
+sliders. viser's sharing through a relay on the internet is switched off. Text from files is never interpreted as HTML:
+labels take plain text, and text in panels is escaped.
 """
 
 from __future__ import annotations
@@ -26,15 +27,15 @@ from tau_dyn.view.shapes import build_furniture, format_panel
 
 LOOPBACK = "127.0.0.1"
 FRAME = 1 / 30
-"""Time between pictures [s]."""
+"""Time between frames [s]."""
 _MIN_ASPECT = 1.25
-"""Width over height of a window in which `_aim` has the robot beside the panel; a narrower one looks from further away."""
+"""Smallest ratio of width to height at which `_aim` shows the robot next to the panel; a narrower window needs more distance."""
 _DEGREES = 0.1
-"""Step of a slider for a turning joint [deg]."""
+"""Step of a slider for a revolute joint [deg]."""
 _AWAY = np.array([0.56, -0.98, 0.42])
-"""From the robot to the eye, in sizes of the robot."""
+"""Vector from the robot to the camera, relative to the robot's size."""
 _FREE = {"m": 0.5, "rad": 3.1416}
-"""How far a slider goes from home where the robot file gives no limit."""
+"""Range of a slider around home if the robot file gives no limit."""
 
 
 class Viewer:
@@ -43,13 +44,13 @@ class Viewer:
     Attributes:
         robot: The robot.
         q: Actuated positions shown (na,) [m or rad].
-        message: Empty, or why the last positions asked for cannot be reached.
-        warnings: The robot's, and which meshes are missing.
+        message: Empty, or the reason why the last requested positions cannot be reached.
+        warnings: Warnings of the robot, and missing meshes.
         figure: The robot in the scene.
-        placer: Where its shapes are.
+        placer: Poses of its shapes.
         size: Longest side of the robot [m].
-        panels: Of the results shown.
-        names: How many of a kind are in the scene already.
+        panels: Panels of the results shown.
+        names: Number of objects of each kind in the scene.
         server: viser's server.
     """
 
@@ -60,7 +61,7 @@ class Viewer:
             robot: The robot.
             host: Address; the default is this computer only.
             port: Port, or the next free one.
-            shadows: Whether things cast some; they are slow to draw without a graphics card.
+            shadows: Whether shadows are drawn; they are slow without a graphics card.
 
         Raises:
             InputError: viser is not installed, or the port cannot be opened.
@@ -72,7 +73,7 @@ class Viewer:
         self.warnings = (*robot.warnings, *list_missing_meshes(missing))
         self.placer = Placer(robot, build_furniture(robot, visuals))
         try:
-            with redirect_stdout(StringIO()):  # stdout is ours: viser draws a banner there
+            with redirect_stdout(StringIO()):  # stdout belongs to the command: viser prints a banner there
                 self.server = viser.ViserServer(host=host, port=port, label=f"tau_dyn: {robot.name}", verbose=False)
         except OSError as fault:
             raise InputError("not_available", f"{host}:{port} cannot be opened: {fault.strerror or fault}") from fault
@@ -95,7 +96,7 @@ class Viewer:
         threading.Thread(target=self._run, daemon=True).start()
 
     def show(self, q: np.ndarray) -> bool:
-        """Show the robot at actuated positions (na,); return whether it can be there. Else it stays and `message` says why."""
+        """Show the robot at actuated positions (na,); return False, with the reason in `message`, if it cannot reach them."""
         with self.lock, self.server.atomic():
             try:
                 placed = self.placer(np.asarray(q, float))
@@ -114,26 +115,26 @@ class Viewer:
             return True
 
     def play(self, playback: Playback) -> None:
-        """Play a motion: time, speed, the tool's path, and a ghost where there is one."""
+        """Add the playback of a motion: time, speed, the tool's path, and the ghost if there is one."""
         self.player = Player(self, playback)
 
     def add(self, contents: Iterable[Content]) -> None:
-        """Show what results hold, each with its own panel."""
+        """Show contents of results, each with its own panel."""
         self.panels += [add_content(self, content) for content in contents]
 
     def light(self, parts: Iterable[str]) -> list[int]:
-        """Colour what these joints, links or rods carry and let the rest step back; return the shapes that are lit."""
+        """Highlight the shapes of these joints, links or rods and make the others pale; return the highlighted ones."""
         lit = sorted({k for part in parts for k in self.placer.carried_by(part)})
         with self.lock, self.server.atomic():
             self.figure.light(lit)
         return lit
 
     def every_frame(self, ticker: Callable[[float], None]) -> None:
-        """Have a function called for every picture with the time since the last [s]."""
+        """Register a function that is called for every frame with the time since the last one [s]."""
         self._tickers.append(ticker)
 
     def wait(self, seconds: float | None = None) -> None:
-        """Keep the window open until `close`, an interrupt, or so many seconds."""
+        """Keep the window open until `close`, an interrupt, or the end of a time [s]."""
         try:
             self.closed.wait(seconds)
         except KeyboardInterrupt:
@@ -153,7 +154,7 @@ class Viewer:
                 ticker(FRAME)
 
     def _show_nothing_of_viser(self) -> None:
-        """Leave out what is viser's own: its logo, and sharing, which would open the robot to the internet."""
+        """Remove viser's logo, and its sharing, which would open the robot to the internet."""
         self.server.request_share_url = lambda *_, **__: None
         gui, scene = self.server.gui, self.server.scene
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium", brand_color=(36, 98, 176))
@@ -166,7 +167,7 @@ class Viewer:
         gui.add_html(format_panel(f'<b style="font-size:1.2em">{escape(robot.name)}</b><br>{freedoms}'))
 
     def _measure_axes(self) -> float:
-        """Return the length [m] in which axes are drawn."""
+        """Return the length of drawn axes [m]."""
         points = np.array([position for position, _ in self.placer(self.q)])
         return 0.09 * float(np.ptp(points, axis=0).max(initial=0.3))
 
@@ -184,12 +185,12 @@ class Viewer:
                 low = robot.lower[k] if np.isfinite(robot.lower[k]) else robot.home[k] - _FREE[unit]
                 high = robot.upper[k] if np.isfinite(robot.upper[k]) else robot.home[k] + _FREE[unit]
                 low, high = float(low * self._scale[k]), float(max(high, low + 1e-6) * self._scale[k])
-                if unit == "rad" and high - low > 10 * _DEGREES:  # readable numbers, within the limits
+                if unit == "rad" and high - low > 10 * _DEGREES:  # round numbers within the limits
                     low, high = (np.ceil(low / _DEGREES) * _DEGREES, np.floor(high / _DEGREES) * _DEGREES)
                 start = float(np.clip(robot.home[k] * self._scale[k], low, high))
                 label = f"{joint} [m]" if unit == "m" else joint
                 step = (high - low) / 1000 if unit == "m" else min(_DEGREES, (high - low) / 1000)
-                shown = start if unit == "m" else float(np.clip(round(start, 1), low, high))  # as many digits are shown
+                shown = start if unit == "m" else float(np.clip(round(start, 1), low, high))  # as shown: one decimal
                 sliders.append(self.server.gui.add_slider(label, round(low, 9), round(high, 9), step, shown))
             home = self.server.gui.add_button("home")
             self._note = self.server.gui.add_html("")
@@ -199,14 +200,14 @@ class Viewer:
         return sliders, np.array([s.value for s in sliders])
 
     def _add_switch(self, missing: list[str]) -> None:
-        """Add what shows joint frames, and say which meshes are missing."""
+        """Add the switch for joint frames, and list missing meshes."""
         switch = self.server.gui.add_checkbox("joint frames", False)
         switch.on_update(lambda _: self._frames.seen(switch.value))
         for sentence in list_missing_meshes(missing):
             self.server.gui.add_html(format_panel(escape(sentence)))
 
     def _fit(self, client: Any) -> None:
-        """Look from further away in a window that is narrow, and put the robot above the panel there."""
+        """Move the camera back in a narrow window, and show the robot above the panel."""
         aspect = float(client.camera.aspect)
         if aspect < _MIN_ASPECT:
             low, high = self._sight.min(axis=0), self._sight.max(axis=0)
@@ -217,7 +218,7 @@ class Viewer:
             client.camera.look_at = centre - below
 
     def _tell(self) -> None:
-        """Set the sliders to where the robot is, and remember it, so that this is not taken for a hand on them."""
+        """Set the sliders to the robot's positions, and store these, so that the change is not taken for a user's input."""
         told = [float(np.clip(x, s.min, s.max)) for s, x in zip(self._sliders, self._scale * self.q, strict=True)]
         self._told = np.array(told)
         for slider, value in zip(self._sliders, told, strict=True):
@@ -232,7 +233,7 @@ class Viewer:
                 self.show(asked / self._scale)
 
     def widen(self, points: np.ndarray) -> None:
-        """Have points (n, 3) [m] in sight too when a page is opened."""
+        """Extend the first view of a page to points (n, 3) [m]."""
         self._sight = np.vstack([self._sight, points])
         self._aim()
 
@@ -245,7 +246,7 @@ class Viewer:
         return float((high - low).max())
 
     def _aim(self) -> None:
-        """Look from the front right and above, all in sight, with room for the panel."""
+        """Set the camera to the front right and above, with everything in view and space for the panel."""
         low, high = self._sight.min(axis=0), self._sight.max(axis=0)
         centre, reach = (low + high) / 2, float(np.linalg.norm(high - low))
         aside = 0.13 * reach * np.array([-_AWAY[1], _AWAY[0], 0.0]) / np.hypot(*_AWAY[:2])
@@ -275,10 +276,10 @@ def _viser() -> Any:
 
 
 def _refuse_address(host: str) -> None:
-    """Refuse an address that is none of this computer's; viser would wait for it without a word.
+    """Reject an address that is not of this computer; viser would wait for it without a message.
 
     Raises:
-        InputError: Nothing can listen there.
+        InputError: No server can listen there.
     """
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(

@@ -1,4 +1,4 @@
-"""Camera vision: images of a patterned plate in, measured poses with uncertainty out (needs OpenCV, the extra `vision`)."""
+"""Camera vision: measured poses with uncertainty from images of a patterned plate (needs OpenCV, the extra `vision`)."""
 
 from lazy_loader import attach_stub
 

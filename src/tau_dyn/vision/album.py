@@ -1,4 +1,4 @@
-"""All images of a campaign: found in folders, read, matched between cameras, searched for the pattern, checked beforehand."""
+"""All images of a campaign: search in folders, reading, matching between cameras, detection of the pattern, checks."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".
 
 
 def find_images(given: str | Path | Sequence[str | Path]) -> list[Path]:
-    """Return image files: those named, and those in folders that are named, in natural order (img2 before img10).
+    """Return the given image files, and those in given folders, in natural order (img2 before img10).
 
     Raises:
-        InputError: A name that does not exist, a folder without images, or nothing given.
+        InputError: A name does not exist, a folder has no images, or no name is given.
     """
     items = [given] if isinstance(given, str | Path) else list(given)
     files: list[Path] = []
@@ -50,13 +50,13 @@ def get_natural_sort_key(path: Path) -> list[tuple[int, int, str]]:
 
 
 def match_images(cameras: Sequence[Sequence[Path]]) -> list[list[int]]:
-    """Return for each camera which moment each of its images shows.
+    """Return for each camera the index of the moment that each of its images shows.
 
-    Images of two cameras belong together by the last number in their names, where these are unique in each camera and shared,
-    and by their order where both have as many.
+    Images of two cameras are matched by the last number in their names if these numbers are unique in each camera and shared,
+    or by their order if both cameras have equally many images.
 
     Raises:
-        InputError: Neither holds.
+        InputError: Neither condition holds.
     """
     if len(cameras) == 1:
         return [list(range(len(cameras[0])))]
@@ -87,9 +87,9 @@ class Album:
 
     Attributes:
         paths: Files.
-        moments: Which moment each shows; two cameras' images of one moment show one plate.
-        found: What was found in each.
-        extra: Whether each serves to find the cameras only.
+        moments: Moment that each image shows; two cameras' images of one moment show the same plate.
+        found: Detection in each image.
+        extra: Whether each image is used only to calibrate the cameras.
         sizes: Width and height of each camera's images (c, 2) [px].
     """
 
@@ -100,7 +100,7 @@ class Album:
     sizes: np.ndarray
 
     def name(self, camera: int, k: int) -> str:
-        """Return an image's file name, with its folder where it is not of the first camera and others are called alike."""
+        """Return an image's file name, with its folder if it is not of the first camera and another image has the same name."""
         path = self.paths[camera][k]
         alike = sum(other.name == path.name for of in self.paths for other in of) > 1
         aside = camera > 0 or self.extra[camera][k]
@@ -115,10 +115,10 @@ def read_album(
     pattern: Pattern,
     progress: Callable[[str], None],
 ) -> Album:
-    """Read all images and find the pattern in each; arguments as of `measure_poses_from_images`.
+    """Read all images and find the pattern in each; arguments as in `measure_poses_from_images`.
 
     Raises:
-        InputError: Files that are no images, given twice, of mixed sizes, or that cannot be matched between cameras.
+        InputError: Files are not images, are given twice, have mixed sizes, or cannot be matched between cameras.
     """
     given = [(images, extra)] + ([(second, second_extra)] if second is not None else [])
     if second is None and second_extra is not None:
@@ -173,12 +173,12 @@ def _detect(
 
 
 MIN_BACKGROUND_IMAGES = 10
-"""Images of which the median is the background (thesis 5.5): a moving plate is at no place in half of them."""
-_MAX_STILL_CHANGE = 6.0  # grey values: means over a plate change less where nothing moves, in steady light
+"""Images whose median is the background (thesis 5.5): a moving plate covers no position in half of them."""
+_MAX_STILL_CHANGE = 6.0  # grey values: in steady light, means over a plate change less if it does not move
 
 
 def _choose_moving(paths: list[Path], found: list[Detection]) -> list[Detection]:
-    """Return detections in which, of several plates, the one that differs from the background was taken."""
+    """Return detections in which the plate that differs from the background is chosen among several."""
     some = np.linspace(0, len(paths) - 1, MIN_BACKGROUND_IMAGES).astype(int)
     background = np.median([read_image(paths[k]) for k in some], axis=0)
     out = list(found)
@@ -193,13 +193,13 @@ def _choose_moving(paths: list[Path], found: list[Detection]) -> list[Detection]
 
 
 def _average_over(image: np.ndarray, plate: np.ndarray) -> float:
-    """Return the mean of an image over the box about a plate's corners (n, 2)."""
+    """Return the mean of an image over the bounding box of a plate's corners (n, 2)."""
     (u0, v0), (u1, v1) = np.floor(plate.min(axis=0)).astype(int), np.ceil(plate.max(axis=0)).astype(int)
     return float(image[v0 : v1 + 1, u0 : u1 + 1].mean())
 
 
 def check_some(seen: Album, pattern: Pattern) -> None:
-    """Refuse images none of which shows the pattern; a size that many show instead is named."""
+    """Reject images if the pattern is not found in any of them; the message names a size that many show instead."""
     every = [d for of in seen.found for d in of]
     if any(d.corners is not None for d in every):
         return
@@ -220,7 +220,7 @@ def check_some(seen: Album, pattern: Pattern) -> None:
 
 
 def check_cameras(cameras: Cameras, seen: Album) -> None:
-    """Refuse known cameras that are not those of the images."""
+    """Reject known cameras that do not match the images."""
     if cameras.n != len(seen.paths):
         raise InputError("mismatch", f"the cameras file has {cameras.n} cameras, the images are of {len(seen.paths)}")
     for c, (known, here) in enumerate(zip(cameras.size, seen.sizes, strict=True)):

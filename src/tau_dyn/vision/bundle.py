@@ -1,8 +1,8 @@
-r"""Bundle adjustment: cameras, lenses and all plates at once, from the corners in all images, with analytic derivatives.
+r"""Bundle adjustment: cameras, lenses and all plates in one fit to the corners in all images, with analytic derivatives.
 
-Minimised is the sum of squared corner residuals, each by its camera's noise, plus what is known of the cameras from before.
-A corner of plate k seen by camera c is at u = project(R_c (R_k p + t_k) + t_c). Plates meet only through the cameras, so the
-normal equations
+The cost is the sum of squared corner residuals, each divided by its camera's noise, plus the prior of the cameras.
+A corner of plate k seen by camera c is at u = project(R_c (R_k p + t_k) + t_c). Plates are coupled only through the cameras,
+so the normal equations
 
     [A  E] [cameras]
     [E' B] [plates ],   B block-diagonal of 6 x 6,
@@ -23,17 +23,17 @@ from tau_dyn.estimate import DescentRules, descend
 from tau_dyn.vision.cameras import Cameras, project_with_jacobians
 
 _RULES = DescentRules(60, small_step=0.0, small_gain=1e-9, damping=1e-3, first_damping=1e-12, max_trials=25)
-"""Sound starts need ten to twenty steps."""
+"""Good initial values need ten to twenty steps."""
 
 
 class Views(NamedTuple):
-    """What was seen.
+    """Views of plates by cameras.
 
     Attributes:
-        corners: (v, n, 2) [px].
-        camera: Which camera saw each view (v,).
-        plate: Which plate each view shows (v,), from 0 without gaps.
-        spread: Standard deviation of each corner in units of its camera's noise (v, n); None for one each.
+        corners: Corners (v, n, 2) [px].
+        camera: Camera index of each view (v,).
+        plate: Plate index of each view (v,), from 0 without gaps.
+        spread: Standard deviation of each corner in units of its camera's noise (v, n); None if all are one.
     """
 
     corners: np.ndarray
@@ -42,28 +42,28 @@ class Views(NamedTuple):
     spread: np.ndarray | None = None
 
     def take(self, mask: np.ndarray) -> Views:
-        """Return some views (mask or index), plates numbered anew."""
+        """Return some views (mask or index), with plates renumbered."""
         plate = np.unique(self.plate[mask], return_inverse=True)[1]
         return Views(self.corners[mask], self.camera[mask], plate, None if self.spread is None else self.spread[mask])
 
     def scale(self, residuals: np.ndarray) -> np.ndarray:
-        """Return residuals (v, n, 2) over the corners' spread."""
+        """Return residuals (v, n, 2) divided by the corners' spread."""
         return residuals if self.spread is None else residuals / self.spread[..., None]
 
 
 class Plates(NamedTuple):
-    """Where plates are in the first camera's frame.
+    """Poses of plates in the first camera's frame.
 
     Attributes:
-        rotation: (k, 3, 3).
-        position: (k, 3) [m].
+        rotation: Rotations (k, 3, 3).
+        position: Positions (k, 3) [m].
     """
 
     rotation: np.ndarray
     position: np.ndarray
 
     def moved(self, step: np.ndarray) -> Plates:
-        """Return plates after steps (k, 6): shift [m], then turn about the first camera's axes [rad]."""
+        """Return plates after steps (k, 6): translation [m], then rotation about the first camera's axes [rad]."""
         return Plates(Rotation.from_rotvec(step[:, 3:]).as_matrix() @ self.rotation, self.position + step[:, :3])
 
 
@@ -72,14 +72,15 @@ class Bundle:
     """Adjusted cameras and plates.
 
     Attributes:
-        cameras: With the covariance of their numbers.
-        plates: Poses.
-        covariance: Of each plate (k, 6, 6): position [m], then rotation vector about the first camera's axes [rad].
-        own: The part of it that comes from the plate's own corners; the rest all plates share through the cameras.
+        cameras: Cameras with the covariance of their parameters.
+        plates: Poses of the plates.
+        covariance: Covariance of each plate (k, 6, 6): position [m], then rotation vector about the first camera's axes [rad].
+        own: The part of `covariance` from the plate's own corners; the rest is common to all plates, through the cameras.
         residuals: Measured less predicted corners (v, n, 2) [px].
         noise: Corner noise of each camera (c,) [px].
         cost: Half the weighted sum of squares.
-        scaled: Reduced normal matrix of the free numbers, of diagonal one; nearly singular where images do not tell them.
+        scaled: Reduced normal matrix of the free parameters, scaled to a diagonal of one; nearly singular if the images do not
+            determine them.
     """
 
     cameras: Cameras
@@ -93,7 +94,7 @@ class Bundle:
 
 
 class _State(NamedTuple):
-    """Cameras and plates with the normal equations there."""
+    """Cameras and plates with their normal equations."""
 
     cameras: Cameras
     plates: Plates
@@ -109,7 +110,7 @@ class _Normal(NamedTuple):
     gb: np.ndarray
 
     def step(self, damping: float) -> tuple[np.ndarray, float]:
-        """Return the step of cameras, then plates, by Marquardt's damping and block elimination."""
+        """Return the step of cameras, then plates, with Marquardt's damping and block elimination."""
         inverse = np.linalg.inv(self.b + damping * self.b * np.eye(6))
         reach, step = self.e @ inverse, np.zeros(0)
         if len(self.a):
@@ -121,7 +122,7 @@ class _Normal(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """The adjustment as a least-squares problem; steps are of the free numbers of the cameras, then of all plates."""
+    """The adjustment as a least-squares problem; a step holds the cameras' free parameters, then all plates."""
 
     views: Views
     points: np.ndarray
@@ -146,7 +147,7 @@ class _Problem:
         return self.place(state.cameras.moved(whole), state.plates.moved(step[len(self.index) :].reshape(-1, 6)))
 
     def gain(self, state: _State, trial: _State) -> float:
-        """Return the fall of the cost relative to it."""
+        """Return the relative decrease of the cost."""
         return (state.normal.cost - trial.normal.cost) / state.normal.cost
 
     def finish(self, state: _State) -> Bundle:
@@ -177,16 +178,16 @@ def adjust(
     free: np.ndarray | None = None,
     known: Cameras | None = None,
 ) -> Bundle:
-    """Adjust cameras and plates from a start.
+    """Adjust cameras and plates from initial values.
 
     Args:
         views: Corners.
         points: The pattern's corners (n, 3) [m].
-        cameras: Start.
-        plates: Start (k).
+        cameras: Initial cameras.
+        plates: Initial plates (k).
         noise: Corner noise of each camera (c,) [px].
-        free: Which of the cameras' numbers may change (p,); by default those of their lens model.
-        known: What is known of the cameras from before, with covariance; numbers of zero variance stay.
+        free: Mask of the camera parameters that may change (p,); by default those of their lens model.
+        known: Prior of the cameras, with covariance; parameters of zero variance are fixed.
     """
     index, precision = np.flatnonzero(cameras.free() if free is None else free), np.zeros(())
     if known is not None and known.covariance is not None:
@@ -199,7 +200,7 @@ def adjust(
 def _predict(
     views: Views, points: np.ndarray, cameras: Cameras, plates: Plates
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return pixels, their derivatives by the point in the camera and by its numbers, and points about plate and camera."""
+    """Return pixels, their derivatives by the point in the camera and by the intrinsics, and points about plate and camera."""
     about = np.einsum("vij,nj->vni", plates.rotation[views.plate], points)
     turned = np.einsum("vij,vnj->vni", cameras.rotation[views.camera], about + plates.position[views.plate][:, None])
     pixels, by_point, by_numbers = project_with_jacobians(
@@ -241,7 +242,9 @@ def _normal(
 def _gathered(
     squares: np.ndarray, views: Views, cameras: Cameras, n: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Add up the views' products of columns (v, 22, 22): nine numbers and six of place of the camera, six of the plate, residual.
+    """Add up the views' products of columns (v, 22, 22).
+
+    The columns are nine intrinsics and six pose parameters of the camera, six pose parameters of the plate, and the residual.
 
     Returns:
         The cameras' normal matrix with right side and cost as last row and column (p + 1, p + 1); their products with the plates'
@@ -264,7 +267,7 @@ def _gathered(
 
 
 def _cross(x: np.ndarray) -> np.ndarray:
-    """Return the matrices (..., 3, 3) that take the cross product with vectors (..., 3)."""
+    """Return the skew-symmetric matrices (..., 3, 3) of vectors (..., 3)."""
     out = np.zeros((*x.shape, 3))
     out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -x[..., 2], x[..., 1], -x[..., 0]
     out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = x[..., 2], -x[..., 1], x[..., 0]

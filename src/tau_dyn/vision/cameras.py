@@ -1,10 +1,10 @@
-"""Cameras that look at one scene: a pinhole and a lens each (Brown 1966), where they stand, how sure that is; kept as YAML.
+"""Cameras of one scene: pinhole and lens of each (Brown 1966), poses and covariance; stored as YAML.
 
     x = X / Z,  y = Y / Z,  r^2 = x^2 + y^2,  g = 1 + k1 r^2 + k2 r^4 + k3 r^6
     x' = x g + 2 p1 x y + p2 (r^2 + 2 x^2),   y' = y g + p1 (r^2 + 2 y^2) + 2 p2 x y
     u = fx x' + cx,   v = fy y' + cy
 
-Pixels are counted from the middle of the first one; z looks out of the camera, y down.
+The centre of the first pixel is (0, 0); z points out of the camera, y down.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import read_yaml, write_whole
 
 INTRINSICS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-"""Names of a camera's nine numbers; the first four in pixels."""
+"""Names of a camera's nine intrinsics; the first four in pixels."""
 
 LENSES = {"none": 4, "radial": 6, "brown": 8, "brown3": 9}
-"""Lens models, and how many of the numbers above they leave free."""
+"""Lens models, and the number of intrinsics that are free in each."""
 
 
 def project(points: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
@@ -36,14 +36,14 @@ def project(points: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
 
 
 def apply_distortion(x: np.ndarray, y: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return where the lens puts ideal image points; `k` are the nine numbers, first axis."""
+    """Return the distorted positions of ideal image points; `k` holds the nine intrinsics on its first axis."""
     r2 = x * x + y * y
     g = 1 + r2 * (k[4] + r2 * (k[5] + r2 * k[8]))
     return x * g + 2 * k[6] * x * y + k[7] * (r2 + 2 * x * x), y * g + k[6] * (r2 + 2 * y * y) + 2 * k[7] * x * y
 
 
 def compute_rays(pixels: np.ndarray, intrinsics: np.ndarray, iterations: int = 15) -> np.ndarray:
-    """Return the ideal image points `x y` (..., 2) behind pixels (..., 2), by fixed-point iteration; nan where it runs away."""
+    """Return the ideal image points `x y` (..., 2) of pixels (..., 2), by fixed-point iteration; nan if it diverges."""
     k = np.asarray(intrinsics, float)
     target = (pixels - k[2:4]) / k[0:2]
     at = target.copy()
@@ -55,7 +55,7 @@ def compute_rays(pixels: np.ndarray, intrinsics: np.ndarray, iterations: int = 1
 
 
 def project_with_jacobians(points: np.ndarray, intrinsics: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return pixels (..., 2), their derivative by the point (..., 2, 3) and by the nine numbers (..., 2, 9)."""
+    """Return pixels (..., 2), their derivatives by the point (..., 2, 3) and by the nine intrinsics (..., 2, 9)."""
     k = np.moveaxis(np.asarray(intrinsics, float), -1, 0)
     x, y, z = points[..., 0] / points[..., 2], points[..., 1] / points[..., 2], points[..., 2]
     xd, yd = apply_distortion(x, y, k)
@@ -93,7 +93,7 @@ def _by_intrinsics(x: np.ndarray, y: np.ndarray, xd: np.ndarray, yd: np.ndarray,
 
 
 PLACE = ("rx", "ry", "rz", "x", "y", "z")
-"""Names of a camera's six numbers of place: a small rotation about the first camera's axes [rad], then a shift [m]."""
+"""Names of a camera's six pose parameters: a small rotation about the first camera's axes [rad], then a translation [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,13 +101,13 @@ class Cameras:
     """One or more cameras; a point `X` in the first camera's frame is `rotation[c] X + position[c]` in camera c's.
 
     Attributes:
-        intrinsics: (c, 9), in the order of `INTRINSICS`.
-        rotation: (c, 3, 3); the first is one.
-        position: (c, 3) [m]; the first is zero.
+        intrinsics: Intrinsics (c, 9), in the order of `INTRINSICS`.
+        rotation: Rotations (c, 3, 3); the first is the identity.
+        position: Positions (c, 3) [m]; the first is zero.
         size: Width and height of each camera's images (c, 2) [px].
         lens: Lens model, a name in `LENSES`.
-        covariance: Of `names` (p, p); zero where a number was taken as known.
-        noise: Standard deviation of a corner in each camera's images (c,) [px]; nan where unknown.
+        covariance: Covariance of `names` (p, p); zero for parameters that were taken as known.
+        noise: Standard deviation of a corner in each camera's images (c,) [px]; nan if unknown.
     """
 
     intrinsics: np.ndarray
@@ -125,24 +125,24 @@ class Cameras:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all numbers (p,): nine a camera, then six of place for each but the first."""
+        """Names of all parameters (p,): nine per camera, then six pose parameters for each except the first."""
         inner = [f"camera{c + 1}.{name}" for c in range(self.n) for name in INTRINSICS]
         return tuple(inner + [f"camera{c + 1}.{name}" for c in range(1, self.n) for name in PLACE])
 
     @property
     def stderr(self) -> np.ndarray:
-        """Standard errors of `names` (p,); nan where nothing is known of them."""
+        """Standard errors of `names` (p,); nan if they are unknown."""
         return (
             np.full(len(self.names), np.nan) if self.covariance is None else np.sqrt(np.diag(self.covariance).clip(0))
         )
 
     def free(self) -> np.ndarray:
-        """Return which of `names` the lens model leaves free (p,)."""
+        """Return the mask of `names` that are free in the lens model (p,)."""
         inner = np.tile(np.arange(9) < LENSES[self.lens], self.n)
         return np.concatenate([inner, np.ones(6 * (self.n - 1), bool)])
 
     def moved(self, step: np.ndarray) -> Cameras:
-        """Return the cameras after a step (p,) in `names`; rotations turn on their manifold."""
+        """Return the cameras after a step (p,) in `names`; rotations are updated on their manifold."""
         inner, place = step[: 9 * self.n].reshape(-1, 9), step[9 * self.n :].reshape(-1, 6)
         rotation, position = self.rotation.copy(), self.position.copy()
         if self.n > 1:
@@ -151,7 +151,7 @@ class Cameras:
         return replace(self, intrinsics=self.intrinsics + inner, rotation=rotation, position=position)
 
     def minus(self, other: Cameras) -> np.ndarray:
-        """Return the step (p,) that leads from other cameras to these."""
+        """Return the step (p,) from other cameras to these."""
         turned = (
             Rotation.from_matrix(self.rotation[1:] @ np.swapaxes(other.rotation[1:], 1, 2)).as_rotvec()
             if self.n > 1
@@ -179,13 +179,13 @@ class Cameras:
 
 
 def check_lens(lens: str) -> None:
-    """Refuse a lens model that does not exist."""
+    """Reject a lens model that does not exist."""
     if not isinstance(lens, str) or lens not in LENSES:
         raise UnknownName("lens model", str(lens), LENSES)
 
 
 def write_cameras(path: str | Path, cameras: Cameras) -> None:
-    """Write cameras as YAML, whole or not at all."""
+    """Write cameras as YAML, atomically."""
     write_whole(path, format_cameras_text(cameras))
 
 
@@ -206,10 +206,10 @@ def format_cameras_text(cameras: Cameras) -> str:
 
 
 def read_cameras(path: str | Path) -> Cameras:
-    """Read cameras from YAML, as `write_cameras` wrote them; covariance may be left out, and then they are taken as exact.
+    """Read cameras from YAML as written by `write_cameras`; without covariance they are taken as exact.
 
     Raises:
-        InputError: Keys are missing, or values are no camera.
+        InputError: Keys are missing, or values do not describe a camera.
     """
     held = read_yaml(path)
     try:

@@ -1,14 +1,14 @@
-r"""Blurred corners of black squares fitted to grey values, by Gauss-Newton with step limits for all corners at once.
+r"""Fit of blurred corners of black squares to grey values, by Gauss-Newton with step limits for all corners at once.
 
     I(p) = a + g . d + b W(x1, x2),   d = p - corner,   x_i = n_i . d / s_i,   n_i = (-sin a_i, cos a_i)
 
 A single corner is a wedge `n1 . d > 0, n2 . d > 0` blurred by a Gaussian of covariance `B`: `W = Phi2(x1, x2; rho)`, the
 bivariate normal distribution with `s_i^2 = n_i' B n_i` and `rho = n1' B n2 / (s1 s2)`; this is exact, and its derivatives are
 Plackett's (1954). A crossing is two opposite wedges and symmetric about the corner, so the round blur of
-`W = Phi(x1) Phi(x2) + Phi(-x1) Phi(-x2)` leaves its place unbiased at any angle. Motion blurs along one direction, which all
-corners of an image share (`estimate_blur`); with a round blur a single corner of a moving plate is a tenth of a pixel off.
+`W = Phi(x1) Phi(x2) + Phi(-x1) Phi(-x2)` gives an unbiased position at any angle. Motion blurs along one direction, which all
+corners of an image share (`estimate_blur`); a round blur would bias a single corner of a moving plate by a tenth of a pixel.
 
-A corner's standard error is that of least squares with the noise that the window's residual shows.
+A corner's standard error is that of least squares, with the noise estimated from the residual of the window.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ _MAX_ITERATIONS = 15  # a good start needs five
 _SETTLED_PX = 5e-3  # [px] last step of a corner that converged
 _MIN_BLUR_PX, _MAX_BLUR_PX = 0.3, 4.0  # [px] standard deviation of the blur
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
-"""Gauss-Legendre over the correlation: exact to 1e-5 up to 0.8, edges that meet at 37 degrees."""
+"""Gauss-Legendre quadrature over the correlation: exact to 1e-5 up to a correlation of 0.8, edges that meet at 37 degrees."""
 _MAX_CORRELATION = 0.9  # edges that meet at 26 degrees
 _N_PARAMETERS = 11
 """Corner, two directions, two blurs, grey value, gradient, contrast, and correlation beyond that of a round blur."""
 _KNOWN_BLUR = np.delete(np.eye(_N_PARAMETERS), [4, 5, 10], axis=1)
 _ONE_BLUR = np.insert(_KNOWN_BLUR, 4, np.isin(np.arange(_N_PARAMETERS), [4, 5]), axis=1)
-"""Columns of the parameters that are fitted where the blur is known, and where it is round."""
+"""Columns of the parameters that are fitted if the blur is round; `_KNOWN_BLUR` holds those for a known blur."""
 
 
 class CornerFit(NamedTuple):
     """Fitted corners.
 
     Attributes:
-        place: (n, 2) [px] about the windows' middles; nan where nothing fits.
+        place: Positions (n, 2) [px] relative to the windows' centres; nan if the fit failed.
         stderr: Standard error of a coordinate (n,) [px].
         blur: Standard deviation of the blur across both edges (n, 2) [px].
-        correlation: Of the blur across both edges (n,).
+        correlation: Correlation of the blur across both edges (n,).
         directions: Directions of the edges (n, 2) [rad].
-        contrast: Grey value inside the first wedge less that outside (n,).
+        contrast: Grey value inside the first wedge minus that outside (n,).
     """
 
     place: np.ndarray
@@ -65,11 +65,11 @@ def fit_corners(
 
     Args:
         grey: Grey values (n, w).
-        at: Offsets of a window's pixels from its middle (w, 2) [px].
-        start: Corners about the windows' middles (n, 2) [px].
+        at: Offsets of a window's pixels from its centre (w, 2) [px].
+        start: Initial corners relative to the windows' centres (n, 2) [px].
         directions: Directions `a1 a2` of the edges (n, 2) [rad]; the first wedge is left of both.
-        crossing: Where the opposite wedge has the same colour (n,).
-        blur: Covariance of the blur (2, 2) [px^2]; fitted at each corner where None, alike in all directions.
+        crossing: Mask of corners whose opposite wedge has the same colour (n,).
+        blur: Covariance of the blur (2, 2) [px^2]; if None, a round blur is fitted at each corner.
         each_edge: Whether the blur of each corner may have any covariance, rather than being round.
     """
     n = len(grey)
@@ -102,14 +102,14 @@ def fit_corners(
 
 
 def estimate_blur(fit: CornerFit, crossing: np.ndarray) -> np.ndarray:
-    """Return the covariance `B` (2, 2) [px^2] of one blur of an image.
+    """Return the covariance `B` (2, 2) [px^2] of the common blur of an image.
 
-    The widths of edges show `s^2 = n' B n`. Edges of a pattern run in two directions, so single corners are needed for the rest:
-    their correlation shows `n1' B n2`.
+    The widths of edges give `s^2 = n' B n`. Edges of a pattern have two directions, so the third element of `B` needs single
+    corners: their correlation gives `n1' B n2`.
 
     Args:
-        fit: Corners with a blur each.
-        crossing: Which are crossings (n,).
+        fit: Corners with one blur each.
+        crossing: Mask of crossings (n,).
     """
     x, y = -np.sin(fit.directions), np.cos(fit.directions)
     pairs = [(0, 0, slice(None)), (1, 1, slice(None)), (0, 1, ~crossing)]
@@ -121,7 +121,7 @@ def estimate_blur(fit: CornerFit, crossing: np.ndarray) -> np.ndarray:
     )
     shown = np.concatenate([*(fit.blur.T**2), (fit.correlation * fit.blur.prod(axis=1))[~crossing]])
     weight, found = np.ones(len(shown)), np.zeros(3)
-    for _ in range(5):  # a few corners whose blur was not found do not count (least absolute deviations)
+    for _ in range(5):  # least absolute deviations: robust to a few corners with a wrong blur
         found = np.linalg.lstsq(weight[:, None] * rows, weight * shown, rcond=None)[0]
         weight = 1 / np.sqrt(np.abs(shown - rows @ found) + 1e-2 * np.abs(shown).mean())
     values, vectors = np.linalg.eigh(np.array([[found[0], found[1]], [found[1], found[2]]]))

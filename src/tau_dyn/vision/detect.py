@@ -1,9 +1,9 @@
-"""Corners of the pattern in an image, to a hundredth of a pixel; an image that does not show it whole is refused with a reason.
+"""Corners of the pattern in an image, to a hundredth of a pixel; an image without the complete pattern is rejected with a reason.
 
-OpenCV finds the chessboard (Duda & Frese 2018, else its older detector). The order in which it returns the corners depends on
-detector and version and may be upside down; it is settled here by the colours of the squares, so that a pose never flips. Then a
-blurred crossing of two edges is fitted to the grey values about each corner (`corner_fit.py`). A detector's own guess stems from
-a neighbourhood that blur and perspective pull to one side; the crossing is symmetric about the corner, so its fit is not.
+OpenCV finds the chessboard (Duda & Frese 2018, else its older detector). The order of its corners depends on detector and
+version and may be upside down. Here the colours of the squares determine the order, so that a pose never flips. Then a blurred
+crossing of two edges is fitted to the grey values around each corner (`corner_fit.py`). A detector's own estimate is biased by
+blur and perspective in its neighbourhood; the crossing is symmetric about the corner, so its fit is unbiased.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from tau_dyn.vision.images import Detection, import_opencv
 from tau_dyn.vision.pattern import Pattern
 from tau_dyn.vision.solution import apply, estimate_homography
 
-_REACH = 0.38  # of a square's side that the window reaches, each way
+_REACH = 0.38  # half width of the window, relative to a square's side
 _MAX_WINDOW_PX = 8  # [px]
-_MOVED = 1.5  # [px] farther from the detector's guess, the fit went elsewhere
+_MOVED = 1.5  # [px] a fit farther from the detector's estimate is at another corner
 
 
 def refine(image: np.ndarray, corners: np.ndarray, pattern: Pattern) -> tuple[np.ndarray, np.ndarray]:
-    """Return corners (n, 2) and their standard errors (n,) [px] fitted to an image; the given ones and nan where that fails."""
+    """Return fitted corners (n, 2) and their standard errors (n,) [px]; a failed fit gives the initial corner and nan."""
     grid = corners.reshape(pattern.rows, pattern.columns, 2)
     half = int(np.clip(_REACH * _side(grid), 2, _MAX_WINDOW_PX))
     middle = corners.round().astype(int)
@@ -51,11 +51,11 @@ def _directions(grid: np.ndarray) -> np.ndarray:
     return np.stack([np.arctan2(d[..., 1], d[..., 0]).ravel() for d in (along, down)], axis=-1)
 
 
-_CONTRAST = 25.0  # grey values between dark and light below which an image is of no use
+_CONTRAST = 25.0  # grey values, smallest usable contrast between dark and light
 _MIN_SQUARE_PX = 6.0  # [px] side of a square
-_UNEVEN = 0.25  # of a square that corners may be off the plane's picture, the lens accounted for
+_UNEVEN = 0.25  # of a square, largest deviation of corners from the image of a plane, lens corrected
 _MAX_BENDING = 0.5
-"""Largest distortion `k` at the image's corners that is tried: a lens of 120 degrees; a fisheye needs another model."""
+"""Largest tried distortion `k` at the image's corners: a lens of 120 degrees; a fisheye needs another model."""
 
 
 def find_corners(image: np.ndarray, pattern: Pattern) -> Detection:
@@ -103,7 +103,7 @@ def _search(image: np.ndarray, pattern: Pattern) -> np.ndarray | None:
 
 
 def _in_order(image: np.ndarray, corners: np.ndarray, pattern: Pattern) -> np.ndarray | None:
-    """Return corners so that columns run to rows as x to y seen from the front, and the first square is black."""
+    """Return corners ordered such that columns and rows are along x and y seen from the front, and the first square is black."""
     grid = corners.reshape(pattern.rows, pattern.columns, 2)
     along, down = grid[:, -1].mean(0) - grid[:, 0].mean(0), grid[-1].mean(0) - grid[0].mean(0)
     if along[0] * down[1] - along[1] * down[0] < 0:  # seen from behind: mirrored
@@ -122,13 +122,13 @@ def _blackness(image: np.ndarray, grid: np.ndarray) -> float:
     row, column = np.indices(grey.shape)
     black = np.where(
         (row + column) % 2 == 0, 1.0, -1.0
-    )  # same colour as the square left above the first corner, one diagonal on
+    )  # next on the diagonal, so of the colour of the square at the upper left of the first corner
     local = grey - grey.mean() - _trend(grey)
     return float(-(local * black).sum() / max(np.abs(local).sum(), 1e-9))
 
 
 def _trend(grey: np.ndarray) -> np.ndarray:
-    """Return the light's gradient over the squares, as a plane."""
+    """Return the gradient of the light over the squares, as a plane."""
     row, column = np.indices(grey.shape)
     black = (row + column) % 2
     a = np.column_stack([np.ones(grey.size), row.ravel(), column.ravel(), black.ravel()])
@@ -155,15 +155,15 @@ def _checked(corners: np.ndarray, pattern: Pattern, image: np.ndarray) -> Detect
 
 
 def _measure_unevenness(flat: np.ndarray, corners: np.ndarray) -> float:
-    """Return the largest distance [px] of corners (n, 2) from the picture of a plane's points (n, 2)."""
+    """Return the largest distance [px] of corners (n, 2) from the image of a plane's points (n, 2)."""
     return float(np.linalg.norm(apply(estimate_homography(flat, corners), flat) - corners, axis=1).max())
 
 
 def _measure_unevenness_behind_lens(flat: np.ndarray, corners: np.ndarray, shape: tuple[int, ...]) -> float:
-    """Return the same behind a lens that bends straight lines, by the division model about the image's middle.
+    """Return the largest distance [px] of corners from the image of a plane, with a distorted lens.
 
-    With `r` the distance from the middle in half diagonals, `x = d / (1 + k r^2)` is where a lens without distortion would have
-    put what stands at `d` (Fitzgibbon 2001). Corners that no `k` makes even are no chessboard.
+    The division model about the image's centre (Fitzgibbon 2001) maps a distorted point `d` to `x = d / (1 + k r^2)`, with the
+    distance `r` from the centre in half diagonals. If no `k` reduces the distance enough, the corners are not a chessboard.
     """
     middle = 0.5 * np.array(shape[1::-1], dtype=float)
     d = corners - middle
@@ -177,7 +177,7 @@ def _measure_unevenness_behind_lens(flat: np.ndarray, corners: np.ndarray, shape
 
 
 def _why_not(image: np.ndarray, pattern: Pattern) -> Detection:
-    """Return what is in the image instead."""
+    """Return the reason why the pattern was not found, and another pattern in the image."""
     columns, rows = _other(image)
     other = f"{columns}x{rows}" if rows else ""
     if not other or {columns, rows} == {pattern.columns, pattern.rows}:
@@ -191,7 +191,7 @@ def _why_not(image: np.ndarray, pattern: Pattern) -> Detection:
 
 
 def _other(image: np.ndarray) -> tuple[int, int]:
-    """Return the size of whatever chessboard is in the image, the longer side first; zeros where there is none."""
+    """Return the size of a chessboard in the image, the longer side first; zeros if there is no chessboard."""
     cv2 = import_opencv()
     try:
         flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_LARGER

@@ -1,4 +1,4 @@
-"""Images as grey values, and what a search of one has found."""
+"""Images as grey values, and the detection of the pattern in an image."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _MAX_PIXELS = 1 << 28  # the largest cameras have 1.5e8
 
 
 def import_opencv() -> ModuleType:
-    """Return OpenCV, which only this room needs.
+    """Return OpenCV, which only this package needs.
 
     Raises:
-        InputError: It is not installed.
+        InputError: OpenCV is not installed.
     """
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(_MAX_PIXELS))  # a small PNG may declare gigabytes
     try:
@@ -36,7 +36,7 @@ def read_image(path: Path) -> np.ndarray:
     """Return grey values (height, width) uint8; 16-bit images are scaled to their own range.
 
     Raises:
-        InputError: Not readable, or not an image.
+        InputError: The file is not readable, or not an image.
     """
     cv2 = import_opencv()
     try:
@@ -53,7 +53,7 @@ def read_image(path: Path) -> np.ndarray:
         image = None
     if image is None:
         raise InputError("damaged_file", f"{path}: not an image that can be read; give PNG, JPEG, TIFF or BMP")
-    if image.size > _MAX_PIXELS:  # where OpenCV was there before us
+    if image.size > _MAX_PIXELS:  # if OpenCV was imported before the limit was set
         raise InputError("file_format", f"{path}: {image.shape[1]}x{image.shape[0]} pixels; that is no photograph")
     if image.dtype != np.uint8:
         top = max(float(np.nanmax(image)), 1e-9)
@@ -62,14 +62,14 @@ def read_image(path: Path) -> np.ndarray:
 
 
 class Detection(NamedTuple):
-    """What was found in an image.
+    """Result of the search for the pattern in an image.
 
     Attributes:
-        corners: (n, 2) [px] in the pattern's order, None where the pattern was not found.
-        reason: Why not, '' where it was.
-        other: Size of another pattern that is in the image, '' where none is.
-        stderr: Standard error of each corner that the grey values state (n,) [px].
-        several: Corners of every plate (n, 2), where several that look alike were found.
+        corners: Corners (n, 2) [px] in the pattern's order, or None if the pattern was not found.
+        reason: Reason why it was not found, or ''.
+        other: Size of another pattern in the image, or ''.
+        stderr: Standard error of each corner, from the grey values (n,) [px].
+        several: Corners of each plate (n, 2), if several equal plates were found.
         several_stderr: Their standard errors (n,) [px].
     """
 

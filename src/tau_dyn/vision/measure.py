@@ -1,4 +1,4 @@
-"""Images in, measured poses out: read, find, adjust, match robot positions; a table with standard errors for calibrate."""
+"""Measured poses from images: read, detect, adjust, match robot positions; a table with standard errors for calibrate."""
 
 from __future__ import annotations
 
@@ -36,33 +36,33 @@ STDERR = ("x_tool_stderr", "y_tool_stderr", "z_tool_stderr", "rx_tool_stderr", "
 
 
 def escape_formula(text: str) -> str:
-    """Return text as a spreadsheet shows it: what begins like a formula gets an apostrophe before it."""
+    """Return text for a spreadsheet: an apostrophe precedes text that begins like a formula."""
     return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t", "\r")) else text
 
 
 @dataclass(frozen=True, eq=False)
 class CameraPoseTable:
-    """Poses of the pattern's middle in the first camera's frame.
+    """Poses of the pattern's centre in the first camera's frame.
 
     Attributes:
-        names: The image (the first camera's, where it saw the plate) of each pose (N,).
-        position: (N, 3) [m].
-        rotation: (N, 3, 3).
-        covariance: (N, 6, 6) of position [m] and rotation vector about the camera's axes [rad].
-        own: The part of it from the pose's own corners; the rest is common to all poses, through cameras and clock.
-        seen_by: How many cameras saw each (N,).
-        joints: Names of actuated joints, where robot positions were given.
+        names: The image of each pose (N,), of the first camera if it saw the plate.
+        position: Positions (N, 3) [m].
+        rotation: Rotations (N, 3, 3).
+        covariance: Covariance (N, 6, 6) of position [m] and rotation vector about the camera's axes [rad].
+        own: The part of `covariance` from the pose's own corners; the rest is common to all poses, through cameras and clock.
+        seen_by: Number of cameras that saw each pose (N,).
+        joints: Names of actuated joints, if robot positions were given.
         q: Robot positions (N, na).
         cameras: The cameras, with uncertainty.
-        rms: Of all corners' residuals in each camera (c,) [px].
-        refused: Image -> why it was not used.
-        warnings: What was doubtful.
+        rms: RMS of all corners' residuals in each camera (c,) [px].
+        refused: Image -> reason why it was not used.
+        warnings: Doubtful results.
         inputs: Files read.
-        time: When each pose was measured (N,) [s], by the clock of the log of robot positions where one was given, else of the
-            images; nan without times.
-        velocity: Of the pattern's middle (N, 3) [m/s], nan without times.
-        joint_velocity: (N, na), of poses from a log of robot positions.
-        clock: The offset between images and log, where one was estimated.
+        time: Time of each pose (N,) [s], by the clock of the log of robot positions if one was given, else of the images; nan
+            without times.
+        velocity: Velocity of the pattern's centre (N, 3) [m/s]; nan without times.
+        joint_velocity: Joint velocities (N, na), if a log of robot positions was given.
+        clock: The offset between images and log, if it was estimated.
     """
 
     names: tuple[str, ...]
@@ -100,17 +100,17 @@ class CameraPoseTable:
 
     @property
     def speed(self) -> np.ndarray | None:
-        """Speed of the pattern's middle (N,) [m/s]; None without times."""
+        """Speed of the pattern's centre (N,) [m/s]; None without times."""
         return None if self.velocity is None else np.linalg.norm(self.velocity, axis=1)
 
     @property
     def common_stderr(self) -> np.ndarray:
-        """Standard errors of positions (N,) [m] that stem from cameras and clock and so are alike in all poses."""
+        """Standard errors of positions (N,) [m] from cameras and clock, which are common to all poses."""
         common = np.diagonal(self.covariance - self.own, axis1=1, axis2=2)[:, :3]
         return np.sqrt(common.sum(axis=1).clip(0))
 
     def to_csv(self) -> str:
-        """Return the table as text: image, time, q_J, v_J, pose, standard errors, speed; what was not measured has no column."""
+        """Return the table as text: image, time, q_J, v_J, pose, standard errors, speed; without columns for unknown values."""
         columns = {f"q_{j}": self.q[:, k] for k, j in enumerate(self.joints)}
         if self.joint_velocity is not None:
             columns |= {f"v_{j}": self.joint_velocity[:, k] for k, j in enumerate(self.joints)}
@@ -126,7 +126,7 @@ class CameraPoseTable:
         return out.getvalue()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what a result file holds."""
+        """Return the content of a result file."""
         return {
             **self.cameras.to_dict(),
             "rms_px": self.rms,
@@ -144,7 +144,7 @@ class CameraPoseTable:
         }
 
     def _describe(self, k: int) -> dict[str, Any]:
-        """Return what a result file holds of a pose."""
+        """Return the content of a result file for one pose."""
         moving = {}
         if self.time is not None and self.speed is not None:
             moving = {
@@ -180,17 +180,17 @@ def measure_poses_from_images(
         images: The (first) camera's images, or a folder.
         pattern: The pattern on the plate.
         second: The second camera's images of the same moments.
-        cameras: Known from before, with covariance; without them the images tell the cameras too.
-        extra: Images of the (first) camera that serve to find the cameras only, such as with the plate held by hand.
-        second_extra: The second camera's.
-        positions: The robot's positions, by image name or order, or a log of them with times of its own.
-        times: When the (first) camera's images were taken, while the robot moved.
-        lens: `brown` (k1 k2 p1 p2), `radial` (k1 k2), `brown3` (and k3) or `none`; unused where cameras are given.
-        progress: Told what is being done.
+        cameras: Known cameras with covariance; without them the images also determine the cameras.
+        extra: Images of the (first) camera that are used only to calibrate the cameras, such as with the plate held by hand.
+        second_extra: Such images of the second camera.
+        positions: The robot's positions, by image name or order, or a log of them with its own clock.
+        times: Times of the (first) camera's images, taken while the robot moved.
+        lens: `brown` (k1 k2 p1 p2), `radial` (k1 k2), `brown3` (and k3) or `none`; unused if cameras are given.
+        progress: Function that is called with a description of each step.
 
     Raises:
-        InputError: Files that are no images, of mixed sizes, or none that shows the pattern.
-        CannotAnswer: Too few images, images that do not tell the cameras' numbers, or a log whose clock they do not tell.
+        InputError: Files are not images or have mixed sizes, or no image shows the pattern.
+        CannotAnswer: Too few images, or images that do not determine the cameras or the clock of the log.
     """
     check_lens(lens)
     seen = read_album(images, second, extra, second_extra, pattern, progress)
@@ -215,12 +215,12 @@ def _list_times(seen: Album, times: ImageTimes | None) -> dict[int, float]:
 
 
 def _list_usual(seen: Album) -> list[str]:
-    """Return the names of the first camera's images that are no extra ones."""
+    """Return the names of the first camera's images without the extra ones."""
     return [path.name for path, aside in zip(seen.paths[0], seen.extra[0], strict=True) if not aside]
 
 
 def _refuse_blurred(seen: Album) -> Album:
-    """Return the album without images of which a corner could not be fitted: the plate moved too far during the exposure."""
+    """Return the album without images with an unfitted corner: in these the plate moved too far during the exposure."""
 
     def judge(found: Detection) -> Detection:
         lost = 0 if found.stderr is None else int(np.isnan(found.stderr).sum())
@@ -232,7 +232,7 @@ def _refuse_blurred(seen: Album) -> Album:
 
 
 def _views(seen: Album, weigh: bool) -> tuple[Views, list[tuple[int, int]]]:
-    """Return all corners found, weighed by what their grey values state or alike, and camera and image of each view."""
+    """Return all corners found, with weights from their grey values or equal ones, and each view's camera and image."""
     labels = [(c, k) for c, of in enumerate(seen.found) for k, d in enumerate(of) if d.corners is not None]
     corners = np.array([seen.found[c][k].corners for c, k in labels])
     moment = np.array([seen.moments[c][k] for c, k in labels])
@@ -249,17 +249,17 @@ def _views(seen: Album, weigh: bool) -> tuple[Views, list[tuple[int, int]]]:
 
 @dataclass(frozen=True, eq=False)
 class _Robot:
-    """What is known of the robot and of the time at each plate.
+    """State of the robot and time at each plate.
 
     Attributes:
         joints: Names of actuated joints.
-        q: Positions (k, na), nan where unknown.
-        v: Velocities (k, na), where positions are a log.
-        time: (k,) [s], nan where unknown.
-        velocity: Of the plates (k, 3) [m/s].
+        q: Positions (k, na); nan if unknown.
+        v: Velocities (k, na), if positions are a log.
+        time: Times (k,) [s]; nan if unknown.
+        velocity: Velocities of the plates (k, 3) [m/s].
         clock: The offset between images and log.
-        refused: Image -> why it has no position.
-        warnings: What was doubtful.
+        refused: Image -> reason why it has no position.
+        warnings: Doubtful results.
     """
 
     joints: tuple[str, ...]
@@ -332,7 +332,7 @@ def _build_table(
 
 
 def _describe_turns(names: list[str], clear: np.ndarray, by_joints: bool) -> list[str]:
-    """Return what is a convention of the orientations."""
+    """Return sentences about the convention of the orientations."""
     first = names[int(np.argmax(clear))]
     steps = "neighbouring robot positions" if by_joints else "one image to the next"
     said = (
@@ -346,7 +346,7 @@ def _describe_turns(names: list[str], clear: np.ndarray, by_joints: bool) -> lis
 def _plates(
     seen: Album, solved: CameraSolution, kept: list[tuple[int, int]]
 ) -> tuple[np.ndarray, list[str], np.ndarray, np.ndarray]:
-    """Return for each plate its first view, its image's name, whether it serves the cameras only, and how many saw it."""
+    """Return each plate's first view, its image's name, whether it only calibrates the cameras, and how many cameras saw it."""
     n = len(solved.bundle.plates.position)
     first = np.array([int(np.flatnonzero(solved.views.plate == k)[0]) for k in range(n)])
     names = [seen.name(*kept[v]) for v in first]

@@ -1,15 +1,16 @@
 r"""Images of a moving plate: their times, the robot's positions in a log of another clock, and the offset between the clocks.
 
-The robot is not known here. The plate's position is taken as a polynomial of the joint positions, which any robot has near the
-poses it went through, and the offset `d` between the clocks is the one with which it fits best:
+The robot's kinematics are not known here. The plate's position is approximated by a polynomial of the joint positions, which is
+possible for any robot near the poses of the motion. The offset `d` between the clocks is the one with the best fit:
 
     p(t_k) = f(q(t_k + d)) + e_k
 
 Errors have one unknown covariance `S` (the depth is worse than the rest), so the profile log-likelihood of `d` is
-`-(n/2) log det(R'R)` with the residuals `R` (n, 3); the degree of `f` has the least BIC. With the derivative `D = f_q v`, less
-what `f` itself explains of it, `1 / sum_k D_k' S^-1 D_k` is the variance of `d`. Errors of neighbouring images may be alike, as
-`f` is only near the robot, so the variance by Newey and West (1987) is taken where it is larger. The plate's velocity is `f_q v`.
-Images of one sweep without a return tell `d` badly: `f` explains the delay as well, and the variance says so.
+`-(n/2) log det(R'R)` with the residuals `R` (n, 3); the degree of `f` minimises BIC. `1 / sum_k D_k' S^-1 D_k` is the variance
+of `d`, with the part `D` of the derivative `f_q v` that `f` itself does not explain. Errors of neighbouring images may be
+correlated, as `f` is only an approximation, so the variance by Newey and West (1987) is used if it is larger. The plate's
+velocity is `f_q v`. Images of one sweep without a return determine `d` poorly: `f` explains a delay equally well, and the
+variance is large.
 """
 
 from __future__ import annotations
@@ -29,18 +30,18 @@ from tau_dyn.log import Table, read_table
 
 _MAX_DEGREE = 3  # an arm turned by half a radian is a cubic to half a percent
 _MIN_ROWS_A_TERM = 2.0  # images for each coefficient of `f`, in each coordinate
-_MIN_IMAGES = 12  # fewer leave no error to judge by
+_MIN_IMAGES = 12  # fewer leave no degrees of freedom to estimate the error
 _MIN_SHARE_INSIDE = 0.7  # of the images that must fall into the log
 _GRID_SHARE = 0.08
-"""Step of the first search, in the time in which joints move by their spread: the fit's valley is some ten steps wide."""
+"""Step of the first search, relative to the time in which joints move by their spread: the minimum is about ten steps wide."""
 _MAX_GRID = 20_000  # offsets tried first; bounds the time to a few seconds
-_MIN_ADVANTAGE = 6.0  # log-likelihood [nats] by which another offset must be worse: odds of 400 to 1
+_MIN_ADVANTAGE = 6.0  # log-likelihood [nats] by which any other offset must be worse: odds of 400 to 1
 _MAX_UNEXPLAINED = 0.25
-"""Share of the plate's motion (rms, degrees of freedom taken off) that `f` may leave. An arm that turns by radians leaves 0.2
-with degree 1, and 0.005 with 3; the best of all offsets of another motion's log leaves 0.36 or more (40 images)."""
+"""Largest unexplained share of the plate's motion (rms, corrected for degrees of freedom). An arm that turns by radians leaves
+0.2 with degree 1, and 0.005 with degree 3; the log of another motion leaves 0.36 or more at its best offset (40 images)."""
 _CANDIDATES = 6  # local optima of the first search that are refined
 _MAX_GAP_STEPS, _MIN_GAP_S = 8.0, 0.05
-"""A gap of a log is longer than this many of its usual steps and this time [s]: nothing tells where the joints were."""
+"""A gap of a log is longer than this many of its usual steps and this time [s]; the joint positions in it are unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +50,7 @@ class ImageTimes:
 
     Attributes:
         t: Times (n,) [s], increasing, of the middle of the exposure.
-        images: File names (n,), None where the order counts.
+        images: File names (n,), or None if images are matched by order.
         source: File.
     """
 
@@ -78,7 +79,7 @@ class JointLog:
         return CubicSpline(self.t, self.q, axis=0)
 
     def is_covered(self, t: np.ndarray) -> np.ndarray:
-        """Return which times (n,) are inside the log and in none of its gaps."""
+        """Return the mask of times (n,) that are inside the log and outside its gaps."""
         step = np.diff(self.t)
         gap = step > max(_MAX_GAP_STEPS * float(np.median(step)), _MIN_GAP_S)
         index = np.searchsorted(self.t, t, side="right") - 1
@@ -88,13 +89,13 @@ class JointLog:
 
 @dataclass(frozen=True, eq=False)
 class LogOffset:
-    """The offset between the clocks of images and log, and what the plate did.
+    """The offset between the clocks of images and log, and the plate's velocity.
 
     Attributes:
-        value: Time of the log less time of the images [s].
+        value: Time of the log minus time of the images [s].
         stderr: Its standard error [s].
-        degree: Of the polynomial of the joint positions.
-        velocity: Of the plate at each image (n, 3) [m/s], nan where the log does not cover it.
+        degree: Degree of the polynomial of the joint positions.
+        velocity: Velocity of the plate at each image (n, 3) [m/s]; nan if the log does not cover the image.
     """
 
     value: float
@@ -104,10 +105,10 @@ class LogOffset:
 
 
 def read_times(path: str | Path) -> ImageTimes:
-    """Read times of images: a column `t` [s], and maybe `image` with file names.
+    """Read times of images: a column `t` [s], and optionally `image` with file names.
 
     Raises:
-        InputError: No column `t`, a cell that is no number, times that do not increase, or an image named twice.
+        InputError: There is no column `t`, a cell is not a number, times do not increase, or an image is named twice.
     """
     table = read_table(path)
     t = read_increasing(table, "t")
@@ -119,7 +120,7 @@ def read_increasing(table: Table, column: str) -> np.ndarray:
     """Return a column of times (n,) that increase.
 
     Raises:
-        InputError: They do not, or the column is missing.
+        InputError: Times do not increase, or the column is missing.
     """
     t = table.numbers(column)
     wrong = np.flatnonzero(np.diff(t) <= 0)
@@ -133,10 +134,10 @@ def read_increasing(table: Table, column: str) -> np.ndarray:
 
 
 def read_image_names(table: Table) -> tuple[str, ...] | None:
-    """Return the file names of a column `image`, None where there is none.
+    """Return the file names of a column `image`, or `None` if there is no such column.
 
     Raises:
-        InputError: One stands there twice.
+        InputError: A name occurs twice.
     """
     if "image" not in table.cells:
         return None
@@ -155,11 +156,11 @@ def estimate_clock_offset(t: np.ndarray, position: np.ndarray, weight: np.ndarra
     Args:
         t: Times of images (n,) [s].
         position: The plate's positions (n, 3) [m].
-        weight: One over their standard deviations, up to a factor (n,).
+        weight: Inverse of their standard deviations, up to a factor (n,).
         log: Joint positions.
 
     Raises:
-        CannotAnswer: Too few images, a plate that does not follow the joints, or several offsets that fit alike.
+        CannotAnswer: Too few images, a plate that does not follow the joints, or several offsets that fit equally well.
     """
     if len(t) < _MIN_IMAGES:
         raise CannotAnswer(
@@ -224,7 +225,7 @@ class _OffsetFit:
             )
 
     def list_offsets(self) -> tuple[float, np.ndarray]:
-        """Return the step of the first search and all offsets (m,) that put enough images into the log [s]."""
+        """Return the step of the first search and all offsets (m,) at which the log covers enough images [s]."""
         speed = np.sqrt(np.mean(np.diff(self.log.q, axis=0) ** 2, axis=0) / np.mean(np.diff(self.log.t)) ** 2)
         spread = self.log.q.std(axis=0)
         step = _GRID_SHARE * float(np.min((spread / np.maximum(speed, 1e-12))[self.moving]))
@@ -243,7 +244,7 @@ class _OffsetFit:
         return step, np.arange(low, high + step, step)
 
     def compute_gain(self, offset: float, degree: int) -> float:
-        """Return by how much the log-likelihood rises over a plate that stands still, less BIC's penalty [nats]."""
+        """Return the log-likelihood minus that of a plate at rest, minus BIC's penalty [nats]."""
         inside = self.log.is_covered(self.t + offset)
         terms = len(_list_terms(len(self.moving), degree))
         n = int(inside.sum())
@@ -271,11 +272,11 @@ class _OffsetFit:
         return max(found)
 
     def measure(self, offset: float, degree: int) -> tuple[float, float, np.ndarray, float]:
-        """Return what a fit says.
+        """Return the results of a fit.
 
         Returns:
-            The offset's standard error [s], how many times dependent errors widen its variance, velocities (n, 3), and the share
-            of the plate's motion that is not explained.
+            The offset's standard error [s], the factor by which dependent errors increase its variance, velocities (n, 3), and
+            the unexplained share of the plate's motion.
         """
         inside = self.log.is_covered(self.t + offset)
         x, y = self._build_rows(offset, degree, inside)
@@ -309,7 +310,7 @@ class _OffsetFit:
 
 
 def _list_terms(n: int, degree: int) -> list[tuple[int, ...]]:
-    """Return the monomials of n variables up to a degree, each as the variables it multiplies."""
+    """Return the monomials of n variables up to a degree, each as a tuple of its variables."""
     return [term for d in range(degree + 1) for term in combinations_with_replacement(range(n), d)]
 
 
@@ -324,7 +325,7 @@ def _sum_covariances(score: np.ndarray) -> float:
 
 
 def compute_velocity(t: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Return velocities (n, 3) [m/s] by differences to the images before and after, of times (n,) in any order."""
+    """Return velocities (n, 3) [m/s] by differences to the images before and after; times (n,) may have any order."""
     if len(t) < 2:
         return np.full((len(t), 3), np.nan)
     order = np.argsort(t)

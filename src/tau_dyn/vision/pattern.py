@@ -1,17 +1,17 @@
-"""The calibration pattern: a chessboard or five squares, known by corners and the side of a square, which gives the scale.
+"""The calibration pattern: a chessboard or five squares, defined by its corners and the side of a square, which gives the scale.
 
-    z is into the plate; the origin is the middle of the inner corners, where a pose is measured best.
+    z points into the plate; the origin is the centre of the inner corners, where a pose is measured best.
 
-       o--> x     columns of inner corners, `square` apart
+       o--> x     columns of inner corners, with the spacing `square`
        |
        y          rows
 
-The square left above the first inner corner is black. Five black squares (thesis 5.5) are a board of 3x3 squares with black
-corners and middle; its points are all 16 corners of squares, and it looks the same after a quarter turn.
+The square at the upper left of the first inner corner is black. Five black squares (thesis 5.5) are a board of 3x3 squares with
+black corners and a black centre; its points are all 16 corners of squares, and it looks the same after a quarter turn.
 
-Images of a plate with known truth (pinhole, lens, blur, noise, uneven light and a cluttered room) test what reads images, and try
-a camera's place before it is mounted. Rays go backwards: every pixel has `fine` x `fine` rays on a lattice, each meets the plate
-or the room behind it, and the means are blurred and given noise.
+Rendered images of a plate with known truth (pinhole, lens, blur, noise, uneven light and a cluttered room) test the detection,
+and a camera's pose before it is mounted. Every pixel has `fine` x `fine` rays on a lattice (ray tracing from the camera); each
+meets the plate or the room behind it. The mean of the rays is blurred, and noise is added.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.exceptions import InputError
 from tau_dyn.vision.cameras import compute_rays, project
 
-_MIN_CORNERS = 3  # inner corners a side
+_MIN_CORNERS = 3  # inner corners per side
 FIVE_SQUARES: Final = "five-squares"
-"""How the plate with five black squares is called."""
+"""Name of the plate with five black squares."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Pattern:
     kind: Literal["chessboard", "five-squares"] = "chessboard"
 
     def __post_init__(self) -> None:
-        """Refuse a chessboard that cannot be told from itself upside down, or a pattern without size."""
+        """Reject a chessboard that looks the same upside down, or a pattern without size."""
         if self.kind == "chessboard":
             self._check_corners()
         if not 1e-4 <= self.square <= 1.0:
@@ -73,12 +73,12 @@ class Pattern:
 
     @property
     def name(self) -> str:
-        """Its size in words, such as 9x6."""
+        """Name of its size, such as 9x6."""
         return f"{self.columns}x{self.rows}" if self.kind == "chessboard" else self.kind
 
     @property
     def turns(self) -> int:
-        """Number of orientations about z that look alike."""
+        """Number of orientations about z that look the same."""
         return 1 if self.kind == "chessboard" else 4
 
     @property
@@ -101,10 +101,10 @@ class Pattern:
 
 
 def parse_pattern(size: str, square: float) -> Pattern:
-    """Return the pattern that `9x6` or `five-squares` and a square [m] describe.
+    """Return the pattern of a size, such as `9x6` or `five-squares`, and the side of a square [m].
 
     Raises:
-        InputError: Neither that name nor two whole numbers with an x between them, or a pattern that cannot be used.
+        InputError: The size is neither that name nor two integers with an x between them, or the pattern cannot be used.
     """
     if size.strip().lower() == FIVE_SQUARES:
         return Pattern(4, 4, square, FIVE_SQUARES)
@@ -121,14 +121,14 @@ BLACK, WHITE = 35.0, 205.0  # grey values of the print
 
 @dataclass(frozen=True)
 class Photography:
-    """What comes between the scene and the file.
+    """Imaging effects between the scene and the file.
 
     Attributes:
-        blur: Standard deviation of the point spread [px].
+        blur: Standard deviation of the point spread function [px].
         noise: Standard deviation of a pixel [grey values of 255].
-        gradient: Share by which light changes from one side of the image to the other.
+        gradient: Relative change of light from one side of the image to the other.
         exposure: Factor on all grey values; below 0.2 images are too dark to use.
-        fine: Square root of the number of rays of a pixel.
+        fine: Square root of the number of rays per pixel.
     """
 
     blur: float = 0.7
@@ -154,15 +154,15 @@ def render(
 
     Args:
         pattern: The pattern; its plate has a white rim one square wide.
-        rotation: Of the pattern in the camera's frame (3, 3).
-        position: Of the pattern's middle in the camera's frame (3,) [m].
-        intrinsics: The camera's nine numbers.
+        rotation: Rotation of the pattern in the camera's frame (3, 3).
+        position: Position of the pattern's centre in the camera's frame (3,) [m].
+        intrinsics: The camera's nine intrinsics.
         size: Width and height [px].
-        rng: Of the noise.
-        background: What is behind the plate (height, width), grey values; plain grey without.
+        rng: Random generator of the noise.
+        background: Grey values (height, width) behind the plate; uniform grey if None.
         photography: Blur, noise and light.
-        motion: What the plate moves during the exposure, about its pose in the middle of it: shift [m], then rotation vector
-            about the camera's axes [rad] (6,).
+        motion: Motion of the plate (6,) during the exposure, centred at the given pose: translation [m], then rotation vector
+            about the camera's axes [rad].
     """
     photo = photography or Photography()
     width, height = size
@@ -179,7 +179,7 @@ def render(
 
 
 def render_clutter(size: tuple[int, int], rng: np.random.Generator, *, things: int = 60) -> np.ndarray:
-    """Return a room (height, width): soft shades, and boxes, black squares and bars of any grey value before them."""
+    """Return an image of a room (height, width): soft shades, and boxes, black squares and bars of any grey value in front."""
     width, height = size
     coarse = rng.uniform(60, 160, (5, 7))
     image = np.asarray(zoom(coarse, (height / 5, width / 7), order=1))[:height, :width]
@@ -194,14 +194,14 @@ def render_clutter(size: tuple[int, int], rng: np.random.Generator, *, things: i
 
 
 def draw_facing_rotation(tilt: float, towards: float, roll: float) -> np.ndarray:
-    """Return the rotation (3, 3) of a plate that faces the camera, then is tilted about an axis in it [rad]."""
+    """Return the rotation (3, 3) of a plate that faces the camera, then is tilted about an axis in its plane [rad]."""
     axis = np.array([np.cos(towards), np.sin(towards), 0.0])
     return (Rotation.from_rotvec(tilt * axis) * Rotation.from_rotvec([0, 0, roll])).as_matrix()
 
 
 _PLASTIC = np.array([0.7548776662, 0.5698402910])
 """Powers of the inverse plastic number: shifts by their multiples are spread evenly over a square (Roberts 2018)."""
-_MOMENTS_A_PIXEL = 3  # moments of the exposure, each pixel that the plate moves
+_MOMENTS_A_PIXEL = 3  # moments of the exposure per pixel of the plate's motion
 
 
 class _Plate(NamedTuple):
@@ -213,17 +213,17 @@ class _Plate(NamedTuple):
     k: np.ndarray
 
     def move(self, motion: np.ndarray) -> _Plate:
-        """Return it after a shift [m] and a turn about the camera's axes [rad] (6,)."""
+        """Return the plate after a translation [m] and a rotation about the camera's axes [rad] (6,)."""
         turned = Rotation.from_rotvec(motion[3:]).as_matrix() @ self.rotation
         return self._replace(rotation=turned, position=self.position + motion[:3])
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """Return where points (n, 3) of the pattern's frame are seen (n, 2) [px]."""
+        """Return the pixels (n, 2) [px] of points (n, 3) in the pattern's frame."""
         return project(points @ self.rotation.T + self.position, self.k)
 
 
 def _expose(image: np.ndarray, plate: _Plate, fine: int, motion: np.ndarray) -> np.ndarray:
-    """Return the mean image of a plate at even moments of an exposure."""
+    """Return the mean image of a plate at equally spaced moments of an exposure."""
     ends = [plate.move(share * motion).project(plate.pattern.points) for share in (-0.5, 0.5)]
     n = 1 + int(np.ceil(_MOMENTS_A_PIXEL * np.linalg.norm(ends[1] - ends[0], axis=1).max()))
     total = np.zeros_like(image)
@@ -232,14 +232,14 @@ def _expose(image: np.ndarray, plate: _Plate, fine: int, motion: np.ndarray) -> 
         now = image.copy()
         pair = min(moment, n - 1 - moment)
         shift = (pair + 1) * _PLASTIC % 1 if 2 * moment != n - 1 else np.full(2, 0.5)
-        shift = shift if moment == pair else 1 - shift  # in pairs, so that their mean is the middle of a cell
+        shift = shift if moment == pair else 1 - shift  # in pairs, so that their mean is the centre of a cell
         _draw(now, plate.move(((moment + 0.5) / n - 0.5) * motion), few, shift)
         total += now
     return total / n
 
 
 def _draw(image: np.ndarray, plate: _Plate, fine: int, shift: float | np.ndarray = 0.5) -> None:
-    """Draw the plate where its pixels are; `shift` puts rays within their cells of the lattice."""
+    """Draw the pixels of the plate; `shift` is the position of rays within the cells of their lattice."""
     half = np.array(plate.pattern.half_size) + plate.pattern.square
     rim = np.array([[sx * half[0], sy * half[1], 0.0] for sx in (-1, 0, 1) for sy in (-1, 0, 1)])
     if np.any(rim @ plate.rotation[2] + plate.position[2] <= 1e-3):
@@ -253,7 +253,7 @@ def _draw(image: np.ndarray, plate: _Plate, fine: int, shift: float | np.ndarray
     ray = compute_rays(
         np.stack(np.meshgrid(*(np.arange(a, b) for a, b in zip(low, high, strict=True))), axis=-1), plate.k
     )
-    by_v, by_u = np.gradient(ray, axis=(0, 1))  # within a pixel rays are even
+    by_v, by_u = np.gradient(ray, axis=(0, 1))  # within a pixel, rays vary linearly
     n = fine**2
     share = grey = np.zeros(ray.shape[:2])
     for du, dv in (_lattice(n) + shift) / n - 0.5:
@@ -264,14 +264,14 @@ def _draw(image: np.ndarray, plate: _Plate, fine: int, shift: float | np.ndarray
 
 
 def _lattice(n: int) -> np.ndarray:
-    """Return n points (n, 2) of a square of n by n places, one in each row and column: edges along pixels are sampled n times."""
+    """Return n points (n, 2) of a grid of n by n cells, one in each row and column: edges along pixels are sampled n times."""
     step = max((k for k in range(1, n) if np.gcd(k, n) == 1), key=lambda k: _spread(k, n)) if n > 1 else 1
     k = np.arange(n)
     return np.column_stack([k, (step * k) % n])
 
 
 def _spread(step: int, n: int) -> int:
-    """Return the least squared distance of two points of a lattice that repeats."""
+    """Return the smallest squared distance between two points of a periodic lattice."""
     k = np.arange(1, n)
     y = (step * k) % n
     return int(np.min(np.minimum(k, n - k) ** 2 + np.minimum(y, n - y) ** 2))

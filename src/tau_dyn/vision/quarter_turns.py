@@ -1,9 +1,9 @@
-"""Which of four quarter turns a plate of five squares has: the same for both cameras, and continuous from pose to pose.
+"""Choice among the four quarter turns of a plate of five squares: equal for both cameras, and continuous from pose to pose.
 
-Two cameras see one plate: of the four turns in the second camera, the one is taken with which all moments agree on one place of
-the cameras to each other. From pose to pose the plate is taken to turn by less than 45 degrees about its normal. Neighbours are
-those with the nearest robot positions (a minimum spanning tree), else images one after the other. Where a step is no clear case,
-the poses beyond it are left out rather than turned wrongly. One turn, common to all poses, stays a convention.
+If two cameras see one plate, the turn in the second camera is the one for which all moments agree on one relative pose of the
+cameras. The plate is assumed to turn by less than 45 degrees about its normal between neighbouring poses. Neighbours have the
+nearest robot positions (a minimum spanning tree), or are successive images. If a step is ambiguous, the poses after it are left
+out, so that they are not turned wrongly. One turn, common to all poses, remains a convention.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from tau_dyn.vision.pattern import Pattern
 TURNS = Rotation.from_rotvec(np.outer(np.arange(4) * np.pi / 2, [0, 0, 1])).as_matrix()
 """Quarter turns (4, 3, 3) about the plate's normal."""
 
-_PAIRS = 30  # moments that propose a place of the cameras to each other; more repeat it
+_PAIRS = 30  # moments that propose a relative pose of the cameras; more would repeat it
 _SCALE = 0.05
-"""Disagreement [rad, and share of the distance] that rough cameras leave; a wrong turn is off by 1.6."""
-_MAX_COST = 8.0  # of a moment whose tilt was found wrongly
+"""Disagreement [rad, and share of the distance] with inaccurate cameras; a wrong turn gives 1.6."""
+_MAX_COST = 8.0  # limits the cost of a moment with a wrong tilt
 _MIN_MARGIN_RAD = np.radians(30)
-"""Angle by which one turn must be smaller than the others: the plate turned by less than 30 degrees, or by more than 60."""
+"""Angle by which one turn must be smaller than the others: the plate turned by less than 30 or more than 60 degrees."""
 _MAX_STEP = 0.6
-"""Sum of steps of robot positions [rad or m] between neighbours: a plate on turning joints turns by no more than that."""
+"""Sum of steps of robot positions [rad or m] between neighbours: a plate on revolute joints turns by no more than that."""
 _MAX_STILL_ANGLE_RAD = np.radians(5)
 """Angle between orientations of a plate that only translates."""
 
 
 def turn_views(views: Views, turns: np.ndarray, pattern: Pattern) -> Views:
-    """Return views whose plates are turned by `turns` quarters (v,): corners in another order."""
+    """Return views whose plates are turned by `turns` quarter turns (v,): corners in another order."""
     index = np.arange(pattern.n).reshape(pattern.rows, pattern.columns)
     order = np.array([np.rot90(index, k).ravel() for k in range(4)])[turns]
     spread = None if views.spread is None else np.take_along_axis(views.spread, order, 1)
@@ -41,13 +41,13 @@ def turn_views(views: Views, turns: np.ndarray, pattern: Pattern) -> Views:
 
 
 def choose_view_turns(views: Views, plates: Plates, cameras: Cameras, known: bool) -> np.ndarray:
-    """Return the quarter turns (v,) with which further cameras agree with the first one.
+    """Return the quarter turns (v,) that make the other cameras agree with the first one.
 
     Args:
-        views: What was seen.
-        plates: One for each view, in its camera's frame.
-        cameras: Rough, or known from before.
-        known: Whether the cameras' places to each other are known.
+        views: Corners in images.
+        plates: One plate for each view, in its camera's frame.
+        cameras: Initial estimates, or known cameras.
+        known: Whether the cameras' relative poses are known.
     """
     out = np.zeros(len(views.camera), int)
     first = {plate: k for k, plate in enumerate(views.plate) if views.camera[k] == 0}
@@ -70,17 +70,17 @@ def choose_view_turns(views: Views, plates: Plates, cameras: Cameras, known: boo
 
 
 def _compare(turned: np.ndarray, shift: np.ndarray, depth: np.ndarray, r: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Return how far each moment with each turn (p, 4) is from a place of the second camera, in squared scales."""
+    """Return the squared distance, in units of `_SCALE`, of each moment and turn (p, 4) from a pose of the second camera."""
     angle = np.arccos(((np.einsum("pkij,ij->pk", turned, r) - 1) / 2).clip(-1, 1))
     return (angle / _SCALE) ** 2 + (np.linalg.norm(shift - t, axis=2) / (_SCALE * depth[:, None])) ** 2
 
 
 def follow_turns(rotation: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return orientations (k, 3, 3) that turn continuously from the first, and which poses (k,) a clear step leads to.
+    """Return orientations (k, 3, 3) that turn continuously, and the mask of poses (k,) in the largest set joined by clear steps.
 
     Args:
         rotation: Orientations (k, 3, 3), each up to quarter turns.
-        q: Robot positions (k, na), or (k, 0) where images follow each other.
+        q: Robot positions (k, na), or (k, 0) if images are in sequence.
     """
     n, out = len(rotation), rotation.copy()
     if n < 2:
@@ -111,7 +111,7 @@ def follow_turns(rotation: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _list_neighbours(q: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return pairs of neighbours (n - 1, 2), and which are far from each other."""
+    """Return pairs of neighbours (n - 1, 2), and the mask of pairs with a large distance."""
     if not q.shape[1]:
         return np.column_stack([np.arange(n - 1), np.arange(1, n)]), np.zeros(n - 1, bool)
     tree = minimum_spanning_tree(distance_matrix(q, q, p=1) + 1e-9).tocoo()

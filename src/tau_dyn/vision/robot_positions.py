@@ -1,4 +1,4 @@
-"""Robot positions at images: one row an image, by name or order, or a log with a clock of its own."""
+"""Robot positions at images: one row per image, by name or order, or a log with its own clock."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from tau_dyn.vision.motion import JointLog, read_image_names, read_increasing
 
 @dataclass(frozen=True, eq=False)
 class Positions:
-    """Robot positions, by image name where the file has a column `image`, by time where it has a column `t`, else by order.
+    """Robot positions, by image name if the file has a column `image`, by time if it has a column `t`, else by order.
 
     Attributes:
         joints: Names of actuated joints.
-        q: (N, na).
-        images: File names (N,), None where the order counts.
+        q: Positions (N, na).
+        images: File names (N,), or None if rows are matched by order.
         source: File.
-        log: The positions over time, where the file has a column `t` and no column `image`.
+        log: The positions over time, if the file has a column `t` and no column `image`.
     """
 
     joints: tuple[str, ...]
@@ -32,7 +32,7 @@ class Positions:
     log: JointLog | None = None
 
     def of(self, names: Sequence[str]) -> np.ndarray:
-        """Return the rows (n, na) that belong to images, nan where an image has none.
+        """Return the rows (n, na) that belong to images; nan for an image without a row.
 
         Raises:
             InputError: Rows cannot be matched to images.
@@ -47,11 +47,11 @@ class Positions:
 
 
 def match_rows(rows: np.ndarray, images: Sequence[str] | None, names: Sequence[str], source: str) -> np.ndarray:
-    """Return the rows (n, m) that belong to images called `names` (n,), nan where an image has none.
+    """Return the rows (n, m) that belong to images with the file names `names` (n,); nan for an image without a row.
 
     Args:
         rows: Values (N, m).
-        images: File names (N,), None where the order counts.
+        images: File names (N,), or None if rows are matched by order.
         names: The (first) camera's images.
         source: File of the rows, for messages.
 
@@ -87,10 +87,10 @@ def match_rows(rows: np.ndarray, images: Sequence[str] | None, names: Sequence[s
 
 
 def read_positions(path: str | Path) -> Positions:
-    """Read robot positions: columns `q_J`, and maybe `image` with file names, or `t` [s] of a log with its own clock.
+    """Read robot positions: columns `q_J`, and optionally `image` with file names, or `t` [s] of a log with its own clock.
 
     Raises:
-        InputError: No column q_J, a cell that is no number, an image named twice, or a log whose times do not increase.
+        InputError: There is no column q_J, a cell is not a number, an image is named twice, or times of a log do not increase.
     """
     table = read_table(path)
     columns = [name for name in table.cells if name.startswith("q_") and len(name) > 2]

@@ -1,8 +1,9 @@
-"""From corners to cameras and plates: start, adjustment with the noise that the residuals show, and images that do not belong.
+"""Cameras and plates from corners: initial values, adjustment with the noise of the residuals, and rejection of outlier images.
 
-A start has focal lengths from pictures of planes (homographies by direct linear transformation, Hartley 1997), plates before
-each camera, then cameras to each other. What images cannot tell is said, not guessed: a plate tilted alike in all images (as on
-a robot whose plate only translates) leaves the focal length and the distance to be told apart by the lens' bending alone.
+The initial values are focal lengths from images of planes (homographies by direct linear transformation, Hartley 1997), then
+plates relative to each camera, then the relative poses of cameras. Quantities that the images do not determine are reported, not
+guessed: if a plate has the same tilt in all images (as on a robot whose plate only translates), only the lens distortion
+separates the focal length from the distance.
 """
 
 from __future__ import annotations
@@ -36,9 +37,9 @@ def apply(h: np.ndarray, flat: np.ndarray) -> np.ndarray:
 
 
 def estimate_focal_length(homographies: list[np.ndarray], middle: np.ndarray) -> float | None:
-    """Return the focal length [px] of square pixels with the principal point at `middle` (2,), None where planes do not tell it.
+    """Return the focal length [px] of square pixels with the principal point at `middle` (2,), or `None` if it is not determined.
 
-    Zhang 2000, (3) and (4): the plane's axes are orthogonal and of one length, two equations a picture in 1 / f^2.
+    Zhang 2000, (3) and (4): the plane's axes are orthogonal and of equal length, which gives two equations in 1 / f^2 per image.
     """
     shift = np.array([[1, 0, -middle[0]], [0, 1, -middle[1]], [0, 0, 1.0]])
     a, b = [], []
@@ -54,7 +55,7 @@ def estimate_focal_length(homographies: list[np.ndarray], middle: np.ndarray) ->
 
 
 def compute_plane_pose(h: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return rotation (3, 3) and position (3,) of a plane before a pinhole `k` (fx, fy, cx, cy), from its homography."""
+    """Return rotation (3, 3) and position (3,) of a plane relative to a pinhole `k` (fx, fy, cx, cy), from its homography."""
     m = np.linalg.inv(np.array([[k[0], 0, k[2]], [0, k[1], k[3]], [0, 0, 1.0]])) @ h
     m = m / np.sqrt(np.linalg.norm(m[:, 0]) * np.linalg.norm(m[:, 1]))
     m = -m if m[2, 2] < 0 else m
@@ -63,9 +64,9 @@ def compute_plane_pose(h: np.ndarray, k: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def compute_mirrored_tilt(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Return the other rotation that looks alike from far: the plate's normal mirrored about the line of sight.
+    """Return the other rotation that gives almost the same image: the plate's normal mirrored about the line of sight.
 
-    Schweighofer & Pinz 2006: a small or far plane has two poses of almost one picture.
+    Schweighofer & Pinz 2006: a small or far plane has two poses with almost the same image.
     """
     sight = position / np.linalg.norm(position)
     normal = rotation[:, 2]
@@ -80,7 +81,7 @@ def compute_mirrored_tilt(rotation: np.ndarray, position: np.ndarray) -> np.ndar
 
 
 def _normalised(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return points about their middle at a mean distance of sqrt 2, and the transformation (3, 3) that did it."""
+    """Return points relative to their mean, scaled to a mean distance of sqrt 2, and the transformation (3, 3)."""
     middle = points.mean(axis=0)
     scale = np.sqrt(2) / np.linalg.norm(points - middle, axis=1).mean()
     t = np.array([[scale, 0, -scale * middle[0]], [0, scale, -scale * middle[1]], [0, 0, 1.0]])
@@ -88,7 +89,7 @@ def _normalised(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def estimate_initial_cameras(views: Views, pattern: Pattern, sizes: np.ndarray, lens: str) -> Cameras:
-    """Return cameras in one place with focal lengths from the images (c, 2 sizes) and no distortion."""
+    """Return cameras at the same pose with focal lengths from the images, whose sizes are (c, 2), and no distortion."""
     n = len(sizes)
     inner = np.zeros((n, 9))
     flat = pattern.points[:, :2]
@@ -102,9 +103,9 @@ def estimate_initial_cameras(views: Views, pattern: Pattern, sizes: np.ndarray, 
 
 
 def estimate_view_poses(views: Views, pattern: Pattern, cameras: Cameras) -> tuple[Plates, np.ndarray]:
-    """Return a plate for each view in its own camera's frame (v), the better of two tilts, and by how much it is (v,).
+    """Return a plate for each view in its own camera's frame (v), with the better of two tilts, and its margin (v,).
 
-    The margin is the difference in weighted squared residuals, with a noise of 1 px; small where both tilts explain the picture.
+    The margin is the difference in weighted squared residuals, with a noise of 1 px; it is small if both tilts explain the image.
     """
     alone = replace(cameras, rotation=np.tile(np.eye(3), (cameras.n, 1, 1)), position=np.zeros((cameras.n, 3)))
     seen = views._replace(plate=np.arange(len(views.camera)))
@@ -135,10 +136,10 @@ def _alone(views: Views, pattern: Pattern, cameras: Cameras, plates: Plates) -> 
 
 
 def estimate_relative_cameras(views: Views, plates: Plates, cameras: Cameras) -> Cameras:
-    """Return cameras at their places to the first, the medians over plates that both see; `plates` one a view.
+    """Return cameras with their poses relative to the first, the medians over plates that both see; one plate per view.
 
     Raises:
-        CannotAnswer: Two cameras see no plate at one moment.
+        CannotAnswer: Two cameras never see a plate at the same moment.
     """
     rotation, position = cameras.rotation.copy(), cameras.position.copy()
     first = {plate: k for k, plate in enumerate(views.plate) if views.camera[k] == 0}
@@ -166,7 +167,7 @@ def _median_rotation(rotations: np.ndarray) -> np.ndarray:
 
 
 def estimate_rig_poses(views: Views, plates: Plates, cameras: Cameras) -> Plates:
-    """Return one plate a moment in the first camera's frame, from the view of the first camera that saw it."""
+    """Return one plate per moment in the first camera's frame, from the view of the first camera that saw it."""
     n = int(views.plate.max()) + 1
     rotation, position = np.zeros((n, 3, 3)), np.zeros((n, 3))
     for k in reversed(range(len(views.camera))):
@@ -180,23 +181,23 @@ def estimate_rig_poses(views: Views, plates: Plates, cameras: Cameras) -> Plates
 
 
 MIN_VIEWS = 4
-"""Views a camera of unknown numbers needs."""
+"""Smallest number of views of a camera with unknown intrinsics."""
 
-_MAX_RELATIVE_FOCAL_STDERR = 0.02  # relative standard error of a focal length that makes poses worthless
-_OUTLIER_LIMITS = (4.0, 0.3)  # times the median residual, and [px], beyond which an image does not belong to the others
-_MIN_CHI2_DIFFERENCE = 25.0  # difference of squared residuals, in corner variances, at which one of two tilts is taken
+_MAX_RELATIVE_FOCAL_STDERR = 0.02  # relative standard error of a focal length above which poses are useless
+_OUTLIER_LIMITS = (4.0, 0.3)  # times the median residual, and [px], above which an image is an outlier
+_MIN_CHI2_DIFFERENCE = 25.0  # difference of squared residuals, in corner variances, that decides between two tilts
 
 
 @dataclass(frozen=True, eq=False)
 class CameraSolution:
-    """What the corners say.
+    """Cameras and plates estimated from corners.
 
     Attributes:
         bundle: Cameras and plates.
-        views: Those used; plates numbered as in `bundle`.
+        views: Used views; plates numbered as in `bundle`.
         used: Index of the used views among those given (v',).
-        left_out: Index of views left out, with the reason.
-        unsure: Plates (k,) seen by one camera only whose tilt has two answers.
+        left_out: Index of omitted views, with the reason.
+        unsure: Mask of plates (k,) that only one camera sees and whose tilt is ambiguous.
     """
 
     bundle: Bundle
@@ -215,11 +216,11 @@ def solve(
         views: Corners in images.
         pattern: The pattern.
         sizes: Width and height of each camera's images (c, 2) [px].
-        lens: Lens model of cameras not known from before.
-        known: Cameras from before, with covariance.
+        lens: Lens model of unknown cameras.
+        known: Known cameras, with covariance.
 
     Raises:
-        CannotAnswer: Too few images, or images that do not tell the cameras' numbers.
+        CannotAnswer: Too few images, or images that do not determine the cameras.
     """
     _enough(views, len(sizes), known)
     views = _match_turns(views, pattern, sizes, lens, known) if pattern.turns > 1 else views
@@ -253,7 +254,7 @@ def _enough(views: Views, n_cameras: int, known: Cameras | None) -> None:
 
 
 def _match_turns(views: Views, pattern: Pattern, sizes: np.ndarray, lens: str, known: Cameras | None) -> Views:
-    """Return views in which all cameras see a plate in the same of its turns that look alike."""
+    """Return views in which all cameras see a plate in the same one of its equivalent quarter turns."""
     start = known or estimate_initial_cameras(views, pattern, sizes, lens)
     each, _ = estimate_view_poses(views, pattern, start)
     return turn_views(views, choose_view_turns(views, each, start, known is not None), pattern)
@@ -273,13 +274,13 @@ def _solved(
     for _ in range(2):
         noise = _noise(bundle, views, known)
         bundle = adjust(views, points, bundle.cameras, bundle.plates, noise=noise, known=known)
-    if known is None and np.bincount(views.plate).min() == 1:  # tilts were chosen with the first, rough cameras
+    if known is None and np.bincount(views.plate).min() == 1:  # tilts were chosen with the initial, inaccurate cameras
         margin = estimate_view_poses(views, pattern, bundle.cameras)[1]
     return bundle, margin
 
 
 def _noise(bundle: Bundle, views: Views, known: Cameras | None) -> np.ndarray:
-    """Return each camera's corner noise from its residuals, unknowns taken off [px]."""
+    """Return each camera's corner noise from its residuals, corrected for the degrees of freedom [px]."""
     rows = 2 * views.corners.shape[0] * views.corners.shape[1]
     unknown = 6 * len(bundle.plates.position) + (0 if known is not None else len(bundle.scaled))
     share = np.sqrt(rows / max(rows - unknown, 1))
@@ -289,7 +290,7 @@ def _noise(bundle: Bundle, views: Views, known: Cameras | None) -> np.ndarray:
 
 
 def _determined(bundle: Bundle, known: Cameras | None) -> None:
-    """Refuse cameras whose focal length the images do not tell."""
+    """Reject cameras whose focal length the images do not determine."""
     for c, name in ((c, n) for c in range(bundle.cameras.n) for n in (0, 1)):
         f, stderr = bundle.cameras.intrinsics[c, name], bundle.cameras.stderr[9 * c + name]
         singular = known is None and np.linalg.eigvalsh(bundle.scaled)[0] < 1e-12
@@ -305,7 +306,7 @@ def _determined(bundle: Bundle, known: Cameras | None) -> None:
 
 
 def _unsure(bundle: Bundle, views: Views, margin: np.ndarray) -> np.ndarray:
-    """Return which plates (k,) are seen once and may be tilted the other way."""
+    """Return the mask of plates (k,) that are seen once and may have the other tilt."""
     count = np.bincount(views.plate, minlength=len(bundle.plates.position))
     out = np.zeros(len(count), bool)
     doubt = margin < _MIN_CHI2_DIFFERENCE * bundle.noise[views.camera] ** 2

@@ -1,11 +1,12 @@
 """Five black squares in an image (thesis 5.5): candidates, validation by all 20 sides, and 16 corners to a hundredth of a pixel.
 
-Dark quadrilaterals are candidates where edges of the right sign lie along all four sides. Each is tried as each of the five
-squares: the plane's picture predicts the 20 sides, these are sought across their course, and the picture is fitted anew. A plate
-is accepted with all 20 sides, dark squares, and white between and around them; so a chessboard or a shelf is none. The corners
-are then fitted as blurred wedges (`corner_fit.py`): the 4 of the middle square are crossings, the 12 others single corners.
+Dark quadrilaterals are candidates if all four sides have edges of the right sign. Each is tried as each of the five squares: a
+homography predicts the 20 sides, edges are searched perpendicular to them, and the homography is fitted again. A plate is
+accepted if all 20 sides are found, the squares are dark, and the area between and around them is white; this excludes a
+chessboard or a shelf. The corners are then fitted as blurred wedges (`corner_fit.py`): the 4 of the middle square are
+crossings, the 12 others single corners.
 
-The plate looks the same after a quarter turn: here x is to the right in the image; `quarter_turns.py` settles it.
+The plate looks the same after a quarter turn: here x is to the right in the image; `quarter_turns.py` chooses the turn.
 """
 
 from __future__ import annotations
@@ -22,27 +23,27 @@ from tau_dyn.vision.solution import apply, estimate_homography
 
 _EDGE_MODEL_PX = 0.01  # [px] rms error of corners of rendered plates without noise: the edge is not exactly a step
 _MIN_SIDE_PX = 7.0  # [px] side of a square that can still be measured
-_SAMPLES = 9  # points along a side
-_MIN_SAMPLES = 7  # of them with an edge on one line; a bar across a side hides more
+_SAMPLES = 9  # points on a side
+_MIN_SAMPLES = 7  # samples with an edge on one line; a bar across a side hides more
 _REACHES = (0.30, 0.18, 0.12, 0.10)
-"""How far from its prediction a side is sought, of a square's side: first by one square's corners, then by all sides."""
+"""Search distance of sides from their prediction, relative to a side: first predicted by one square, then by all sides."""
 _ENOUGH_SIDES = (9, 15, 20, 20)
-"""Sides found in each pass; a plate behind a bending lens misses far ones in the first."""
-_STRAIGHT = 0.05  # of a side that edge points may be off its line, at least 0.7 px
-_MIN_STEP_NOISES = 5.0  # noise standard deviations of a smoothed edge: five in a row are no chance
-_MIN_STEP = 4.0  # grey values; less drowns in quantisation
-_EVEN = 0.25  # of the contrast that a cell's mean may be off black or white
-_RING = 0.35  # of a side that must be white around the plate
-_REACH = 0.38  # of a square's side that the window of a corner reaches, each way
+"""Required sides in each pass; with a distorted lens, far sides are missed in the first pass."""
+_STRAIGHT = 0.05  # of a side, largest distance of edge points from its line, at least 0.7 px
+_MIN_STEP_NOISES = 5.0  # noise standard deviations of a smoothed edge: five in a row are significant
+_MIN_STEP = 4.0  # grey values; smaller steps are lost in quantisation
+_EVEN = 0.25  # of the contrast, largest deviation of a cell's mean from black or white
+_RING = 0.35  # of a side, width of the white rim around the plate
+_REACH = 0.38  # half width of a corner's window, relative to a square's side
 _MAX_WINDOW_PX = 14  # [px]
-_MOVED = 0.08  # of a side, at least 1.5 px: farther from the sides' crossing, the fit went elsewhere
-_MAX_BLUR = 0.15  # standard deviation of the blur, of a side: more and edges merge with the next ones
+_MOVED = 0.08  # of a side, at least 1.5 px: largest distance of a fit from the sides' crossing
+_MAX_BLUR = 0.15  # standard deviation of the blur, relative to a side: with more blur, neighbouring edges merge
 _MAX_MOTION_BLUR = 0.06
-"""Standard deviation of the blur by motion, of a side: a fifth of a side. Beyond, less than 88 % of 95 % intervals hold."""
-_UNEVEN = 0.06  # of a side that corners may be off the plane's picture; a lens of k1 = -0.3 bends a plate by 0.03
+"""Largest standard deviation of motion blur, of a side: motion by a fifth of it. Above, 95 % intervals cover less than 88 %."""
+_UNEVEN = 0.06  # of a side, largest deviation of corners from a homography; a lens of k1 = -0.3 gives 0.03
 
 _GRID = np.array([(c, r) for r in range(4) for c in range(4)], float)
-"""Corners (16, 2) in squares, row by row."""
+"""Corners (16, 2) in units of squares, row by row."""
 _SQUARES = ((0, 0), (2, 0), (1, 1), (0, 2), (2, 2))
 """Column and row of the black squares."""
 _SIDES = np.array(
@@ -52,13 +53,13 @@ _SIDES = np.array(
         for (x0, y0), (x1, y1) in (((0, 0), (1, 0)), ((1, 0), (1, 1)), ((1, 1), (0, 1)), ((0, 1), (0, 0)))
     ]
 )
-"""First and last corner of each of the 20 sides, clockwise about its square as images count (y down)."""
+"""First and last corner of each of the 20 sides, clockwise about its square in image coordinates (y down)."""
 _CROSSINGS = np.array([5, 6, 9, 10])
 """The corners of the middle square."""
 
 
 class _Edges(NamedTuple):
-    """Edges along sides: lines `point + s direction` (m, 2), and how many samples lie on each (m,)."""
+    """Edges along sides: lines `point + s direction` (m, 2), and the number of samples on each (m,)."""
 
     point: np.ndarray
     direction: np.ndarray
@@ -67,14 +68,14 @@ class _Edges(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """An image ready to be searched: smoothed grey values, the noise left in them, and the step that is an edge."""
+    """An image prepared for the search: smoothed grey values, their noise, and the step that counts as an edge."""
 
     smooth: np.ndarray
     step: float
 
 
 def find_squares(image: np.ndarray, pattern: Pattern) -> Detection:
-    """Return the pattern's 16 corners in an image (height, width) uint8; several plates are all returned, and none is chosen."""
+    """Return the pattern's 16 corners in an image (height, width) uint8; several plates are all returned, without a choice."""
     noise = _estimate_noise(image)
     search = _Search(gaussian_filter(image.astype(float), 0.8), max(_MIN_STEP_NOISES * 0.35 * noise, _MIN_STEP))
     plates, best = _find_plates(search, _list_quads(image, noise))
@@ -103,7 +104,7 @@ def _estimate_noise(image: np.ndarray) -> float:
 
 
 def _list_quads(image: np.ndarray, noise: float) -> np.ndarray:
-    """Return dark quadrilaterals (m, 4, 2) [px], corners clockwise as images count, the largest first."""
+    """Return dark quadrilaterals (m, 4, 2) [px], corners clockwise in image coordinates, the largest first."""
     cv2 = import_opencv()
     low, high = np.percentile(image, [1, 99])
     scale = 255 / max(high - low, 8.0)
@@ -114,7 +115,7 @@ def _list_quads(image: np.ndarray, noise: float) -> np.ndarray:
     for share in (20, 8, 3):
         block = 2 * int(min(image.shape) / share / 2) + 3
         dark = cv2.adaptiveThreshold(level, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV, block, offset)
-        for shrunk in range(1, 5):  # squares that touch at their corners come apart
+        for shrunk in range(1, 5):  # separates squares that touch at their corners
             dark = cv2.erode(dark, kernel)
             contours, _ = cv2.findContours(dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
             quads += [q for c in contours if len(c) > 8 and (q := _fit_quad(c, shrunk)) is not None]
@@ -126,7 +127,7 @@ def _list_quads(image: np.ndarray, noise: float) -> np.ndarray:
 
 
 def _fit_quad(contour: np.ndarray, shrunk: int) -> np.ndarray | None:
-    """Return the corners (4, 2) of a contour that is a quadrilateral, grown by what erosion took off."""
+    """Return the corners (4, 2) of a contour that is a quadrilateral, enlarged by the eroded width."""
     cv2 = import_opencv()
     length = cv2.arcLength(contour, True)
     corners = cv2.approxPolyDP(contour, 0.08 * length, True).reshape(-1, 2).astype(float)
@@ -143,7 +144,7 @@ def _fit_quad(contour: np.ndarray, shrunk: int) -> np.ndarray | None:
 
 
 def _find_plates(search: _Search, quads: np.ndarray) -> tuple[list[np.ndarray], int]:
-    """Return the corners (16, 2) of each plate, and how many sides the best candidate has."""
+    """Return the corners (16, 2) of each plate, and the number of sides of the best candidate."""
     plates: list[np.ndarray] = []
     best = 0
     if not len(quads):
@@ -180,7 +181,7 @@ def _measure_side(quads: np.ndarray) -> np.ndarray:
 
 
 def _grow(search: _Search, quad: np.ndarray, square: int) -> tuple[np.ndarray | None, int]:
-    """Return the corners (16, 2) of the plate of which a quadrilateral is one square, or None, and the number of sides found."""
+    """Return the corners (16, 2) of the plate with a quadrilateral as one square, or None, and the number of sides found."""
     c, r = _SQUARES[square]
     known = np.array([(c, r), (c + 1, r), (c + 1, r + 1), (c, r + 1)], float)
     grid = apply(estimate_homography(known, quad), _GRID)
@@ -199,7 +200,7 @@ def _grow(search: _Search, quad: np.ndarray, square: int) -> tuple[np.ndarray | 
 
 
 def _is_sound(grid: np.ndarray, shape: tuple[int, ...]) -> bool:
-    """Return whether a predicted plate lies within the image and faces the camera."""
+    """Return whether a predicted plate is within the image and faces the camera."""
     if not np.all(np.isfinite(grid)) or np.any(grid < 2) or np.any(grid > np.array(shape[::-1]) - 3):
         return False
     cells = grid.reshape(4, 4, 2)
@@ -210,7 +211,7 @@ def _is_sound(grid: np.ndarray, shape: tuple[int, ...]) -> bool:
 
 
 def _seek_edges(search: _Search, ends: np.ndarray, reach: np.ndarray) -> _Edges:
-    """Return edges near sides (m, 2, 2), light outside a clockwise course, sought `reach` (m,) each way [px]."""
+    """Return edges near clockwise sides (m, 2, 2) with light outside, searched within `reach` (m,) to both sides [px]."""
     first, ahead = ends[:, 0], ends[:, 1] - ends[:, 0]
     length = np.linalg.norm(ahead, axis=1).clip(1e-9)
     direction = ahead / length[:, None]
@@ -218,7 +219,7 @@ def _seek_edges(search: _Search, ends: np.ndarray, reach: np.ndarray) -> _Edges:
     share = np.linspace(0.14, 0.86, _SAMPLES)
     half = max(int(np.ceil(reach.max())), 2)
     t = np.arange(-half - 1, half + 2, dtype=float)
-    step = np.maximum(reach / half, 0.5)  # a coarse grid far from a long side, never finer than half a pixel
+    step = np.maximum(reach / half, 0.5)  # a coarse grid for a wide search, never finer than half a pixel
     base = first[:, None] + share[None, :, None] * ahead[:, None]
     at = base[:, :, None] + (step[:, None] * t)[:, None, :, None] * outward[:, None, None]
     grey = map_coordinates(search.smooth, [at[..., 1], at[..., 0]], order=1, mode="nearest")
@@ -240,7 +241,7 @@ def _seek_edges(search: _Search, ends: np.ndarray, reach: np.ndarray) -> _Edges:
 def _fit_lines(
     s: np.ndarray, offset: np.ndarray, strong: np.ndarray, tolerance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return offset and slope (m, 2) of the line with the most samples on it, and which are on it (m, n)."""
+    """Return offset and slope (m, 2) of the line with the most samples on it, and the mask of these samples (m, n)."""
     n = s.shape[1]
     pairs = np.array([(a, b) for a in range(n // 2) for b in range(n // 2 + 1, n)])
     slope = (offset[:, pairs[:, 1]] - offset[:, pairs[:, 0]]) / (s[:, pairs[:, 1]] - s[:, pairs[:, 0]])
@@ -269,7 +270,7 @@ def _cross_sides(edges: _Edges) -> np.ndarray:
 
 
 def _fit_grid(edges: _Edges, good: np.ndarray, grid: np.ndarray) -> np.ndarray:
-    """Return corners (16, 2) where sides cross, and by the plane's picture where one of the two sides is missing."""
+    """Return corners (16, 2) where sides cross, or from the homography if one of the two sides is missing."""
     crossed = _cross_sides(edges).reshape(-1, 2)
     both = good & np.roll(good.reshape(5, 4), 1, axis=1).ravel()
     both &= np.all(np.isfinite(crossed), axis=1)
@@ -287,7 +288,7 @@ def _fit_grid(edges: _Edges, good: np.ndarray, grid: np.ndarray) -> np.ndarray:
 
 
 def _has_five_squares(search: _Search, grid: np.ndarray) -> bool:
-    """Return whether five cells are black, and the four between and twelve around them white, in light that changes evenly."""
+    """Return whether five cells are black, the four between and twelve around them white, under linearly varying light."""
     h = estimate_homography(_GRID, grid)
     inside = np.array([(c + 0.5, r + 0.5) for r in range(3) for c in range(3)])
     black = np.arange(9) % 2 == 0
@@ -304,7 +305,7 @@ def _has_five_squares(search: _Search, grid: np.ndarray) -> bool:
     grey = map_coordinates(search.smooth, [at[:, 1], at[:, 0]], order=1).reshape(len(middles), 9)
     mean = grey.mean(axis=1)
     flat = middles - 1.5
-    a = np.column_stack([np.ones(len(flat)), flat, black, black[:, None] * flat])  # light scales the contrast, too
+    a = np.column_stack([np.ones(len(flat)), flat, black, black[:, None] * flat])  # light scales the contrast as well
     weight = np.linalg.lstsq(a, mean, rcond=None)[0]
     contrast = -weight[3]
     return bool(
@@ -370,7 +371,7 @@ def _directions(cells: np.ndarray) -> np.ndarray:
 
 
 def _why_not(image: np.ndarray, sides: int) -> str:
-    """Return why no plate was found; `sides` is how many the best candidate has."""
+    """Return the reason why no plate was found; `sides` is the number of sides of the best candidate."""
     low, high = np.percentile(image, [1, 99])
     if high - low < 25:
         dark = "too dark" if high < 80 else "too bright" if low > 180 else "without contrast"

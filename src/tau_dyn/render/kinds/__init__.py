@@ -1,4 +1,4 @@
-"""How each kind of result is presented: its words, tables and figures, once."""
+"""Presentation of each kind of result: words, tables and figures."""
 
 from lazy_loader import attach_stub
 

@@ -1,4 +1,4 @@
-"""Accuracy: the map, every method on the same errors, where simple bounds fail, what was measured."""
+"""Accuracy: the map, all methods on the same errors, limits of simple bounds, measurements."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ METHOD_WORDS = {
     "montecarlo": "worst of the random draws",
 }
 SHOWN_OFF = 0.002
-"""Departure from exact below which a map of it would show rounding."""
+"""Departure from exact below which a map of it would show only rounding errors."""
 MAX_P_VALUE = 0.01
-"""Of a cycle along a guideway that is named."""
+"""Largest p-value at which a cycle along a guideway is reported."""
 
 
 @present_kind.register
 def present_accuracy(found: AccuracyResult, *, files: Sequence[tuple[str, str]] = ()) -> r.Presentation:
-    """Return how accuracy is presented.
+    """Return the presentation of accuracy.
 
     Args:
         found: The result.
@@ -56,7 +56,7 @@ def present_accuracy(found: AccuracyResult, *, files: Sequence[tuple[str, str]] 
 
 
 def _tabulate(found: AccuracyResult) -> dict[str, np.ndarray]:
-    """Return one row a pose: positions [m or rad], place [m], the largest error by each method [m]."""
+    """Return one row per pose: actuated positions [m or rad], tool position [m], the largest error by each method [m]."""
     a = found.accuracy
     if a is None:
         return {}
@@ -213,7 +213,7 @@ def _build_measured(found: AccuracyResult) -> Iterator[r.Element]:
     seen = found.measured
     said = [format_sentence(s) for s in seen.sentences]
     yield r.Listing(said)
-    told = said if found.accuracy is not None else said[1:]  # the first is the headline
+    told = said if found.accuracy is not None else said[1:]  # the first sentence is the headline
     if told:
         yield r.Listing(told, on=r.On.SCREENS)
     if seen.guideways:
@@ -279,7 +279,7 @@ def format_share(value: float) -> str:
 
 
 def format_sentence(sentence: str) -> str:
-    """Return a sentence of a result with the signs that a person would write."""
+    """Return a sentence of a result with typographic signs."""
     return r.replace_plus_minus(sentence).replace(" um", " µm").replace(" deg", "°")
 
 
@@ -294,7 +294,7 @@ def describe_place(position: np.ndarray) -> str:
 
 
 def describe_headline(found: AccuracyResult) -> str:
-    """Return the one sentence above everything."""
+    """Return the headline."""
     a = found.accuracy
     if a is None:
         return found.measured.sentences[0] if found.measured.sentences else "Nothing was measured."
@@ -316,7 +316,7 @@ def describe_headline(found: AccuracyResult) -> str:
 
 
 def describe_verdict(found: AccuracyResult) -> r.Verdict:
-    """Return how far the numbers hold."""
+    """Return the verdict on the validity of the numbers."""
     a = found.accuracy
     if a is None:
         seen = found.measured
@@ -347,7 +347,7 @@ def describe_verdict(found: AccuracyResult) -> r.Verdict:
 
 
 def describe_inputs(found: AccuracyResult) -> str:
-    """Return what went in."""
+    """Return a summary of the inputs."""
     a = found.accuracy
     if a is None:
         return f"{found.robot.source}; measured points only, no errors to carry to the tool."

@@ -1,4 +1,4 @@
-"""Figures of accuracy: maps over the section, enlarged errors, error bodies, guideways and orientation. Reads results only."""
+"""Figures of accuracy, from results only: maps over the section, enlarged errors, error bodies, guideways, orientation."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ COMPARED = {
 
 
 def format_size(metres: float, digits: int = 3) -> str:
-    """Return a length in um, mm or m, whichever reads best."""
+    """Return a length in the most readable of um, mm and m."""
     if not np.isfinite(metres):
         return "none"
     factor, unit = next(
@@ -47,7 +47,7 @@ def build_error_map(found: AccuracyResult, method: str) -> r.Figure:
 
 
 def build_usual_map(found: AccuracyResult) -> r.Figure:
-    """Return the level plot of what 95 % of random errors stay below."""
+    """Return the level plot of the bound that 95 % of random errors do not exceed."""
     a = found.accuracy
     assert a is not None
     return _build_map(found, a.usual, "95 % of random errors stay below")
@@ -71,7 +71,7 @@ def build_turn_map(found: AccuracyResult) -> r.Figure:
 def _build_map(
     found: AccuracyResult, values: np.ndarray, title: str, shown: tuple[float, str] | None = None
 ) -> r.Figure:
-    """Return values of the poses over the section, both axes to one scale, without empty rows and columns at the edges."""
+    """Return values of the poses over the section, both axes at the same scale, without empty rows and columns at the edges."""
     grid = found.grid
     assert grid is not None
     factor, unit = shown or scale_of(values)
@@ -98,7 +98,7 @@ def _build_map(
 
 
 def _choose_levels(values: np.ndarray) -> np.ndarray:
-    """Return round levels over all values but the largest two in a hundred."""
+    """Return round levels over all values except the largest 2 %."""
     there = values[np.isfinite(values)]
     low, high = (float(there.min()), float(np.quantile(there, 0.98))) if there.size else (0.0, 1.0)
     if not high > low * (1 + 1e-9):
@@ -109,7 +109,7 @@ def _choose_levels(values: np.ndarray) -> np.ndarray:
 
 
 def _find_guideways(found: AccuracyResult) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return where straight guideways pierce the section (K, 2) and whose they are."""
+    """Return the intersections of straight guideways with the section (K, 2), and the names of the guideways."""
     grid, robot = found.grid, found.robot
     assert grid is not None
     points, names = [], []
@@ -120,7 +120,7 @@ def _find_guideways(found: AccuracyResult) -> tuple[np.ndarray, tuple[str, ...]]
         k = robot.model.getJointId(joint)
         if kind != "prismatic" or robot.model.parents[k] != 0:
             continue
-        line = np.reshape(data.J, (6, -1))[:3, robot.model.joints[k].idx_v]  # of one joint Pinocchio gives a vector
+        line = np.reshape(data.J, (6, -1))[:3, robot.model.joints[k].idx_v]  # for one joint Pinocchio gives a vector
         along = line[grid.section.axis]
         if abs(along) > 0.3:
             at = data.oMi[k].translation
@@ -131,7 +131,7 @@ def _find_guideways(found: AccuracyResult) -> tuple[np.ndarray, tuple[str, ...]]
 
 
 def build_growth_figure(found: AccuracyResult) -> r.Figure | None:
-    """Return how each bound departs from the exact worst case when all errors are enlarged together."""
+    """Return the departure of each bound from the exact worst case over a common factor on all errors."""
     g = found.growth
     if g is None or len(g.factors) < 3:
         return None
@@ -180,7 +180,7 @@ def build_guideway_figures(line: Guideway) -> list[r.Figure]:
 
 
 def build_orientation_figure(found: Orientation) -> r.Figure:
-    """Return the ZYZ Euler angles over the poses, each less its mean (Figure 4.7)."""
+    """Return the ZYZ Euler angles over the poses, each minus its mean (Figure 4.7)."""
     n, angles = np.arange(1.0, len(found.euler) + 1), np.degrees(found.euler - found.euler.mean(axis=0))
     lines = [r.Line(n, angles[:, k], ink) for k, ink in enumerate(("predicted", "residual", "expected"))]
     x, y = r.Axis("pose", (0.0, float(len(n) + 1))), r.Axis("[°]", r.pad_limits(angles))

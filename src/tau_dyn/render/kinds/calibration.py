@@ -1,4 +1,4 @@
-"""A calibration: error before and after, what each model gained, the geometry, what no pose can tell; and the plan of one."""
+"""A calibration: error before and after, gain of each model, geometry, not identifiable parameters; and the plan of one."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ _MAX_CORRELATED = 12  # pairs listed at most
 _MAX_SENSITIVE = 12  # parameters listed at most
 _MAX_PLANS = 8  # rows of a plan's curve at most
 _DRAWING_UNITS = {"m": (1e3, "mm"), "rad": (180 / np.pi, "°")}
-"""Factors and units of dimensions as a drawing has them."""
+"""Factors and units of dimensions, as in technical drawings."""
 _ARROW = 0.13
 """Length of the largest error vector, as a share of the poses' extent."""
 
 
 @present_kind.register
 def present_calibration(found: Calibration, *, poses: Sequence[tuple[str, str]] = ()) -> r.Presentation:
-    """Return how a calibration is presented; `poses` are name and hash of every file of measured poses."""
+    """Return the presentation of a calibration; `poses` are name and hash of every file of measured poses."""
     uses = [
         ("held-out poses" if k else "poses", name, sha256 or "not a file") for k, (name, sha256) in enumerate(poses)
     ]
@@ -129,7 +129,7 @@ def _build_gain(found: Calibration) -> Iterator[r.Element]:
 
 
 def _build_devices(found: Calibration) -> Iterator[r.Element]:
-    """Yield a line a device or fixture: what it measures, how exactly, and how well it is predicted."""
+    """Yield one row for each device or fixture: measured quantity, accuracy, and error of its prediction."""
     at, errors, rows = found.at(), found.errors(found.chosen).distance, build_device_rows(found)
 
     def format_error(row: Mapping[str, Any], value: float) -> str:
@@ -156,7 +156,7 @@ def _build_devices(found: Calibration) -> Iterator[r.Element]:
 
 
 def _build_sizes(found: Calibration) -> r.ResultTable:
-    """Return one line a model: how far the tool is off."""
+    """Return one row for each model with the tool's error."""
     turned = found.errors(found.chosen).orientation_size is not None
     columns = [
         r.Column("model"),
@@ -189,7 +189,7 @@ def _build_sizes(found: Calibration) -> r.ResultTable:
 
 
 def _build_steps(found: Calibration) -> WaterfallSeries:
-    """Return the waterfall in micrometres; the first bar is cut where it dwarfs all others."""
+    """Return the waterfall in micrometres; the first bar is cut if it is much longer than all others."""
     rungs: list[WaterfallStep] = []
     for k, row in enumerate(found.to_dict()["waterfall"]):  # type: ignore[arg-type, var-annotated]
         label, adds = _name(found, k)
@@ -257,7 +257,7 @@ def _round_down(x: float) -> float:
 
 
 def _build_residuals(found: Calibration) -> Iterator[r.Element]:
-    """Give, joint by joint, what is left over that joint's position: what is still cyclic or crooked would show."""
+    """Yield the residual over each joint's position, in which remaining cyclic or straightness errors are visible."""
     poses, error = found.at(), 1e6 * found.locate_errors(found.chosen)[1]
     axis = int(np.nanargmax(np.nanstd(error, axis=0))) if np.isfinite(error).any() else 0
     y, figures = error[:, axis], []
@@ -337,7 +337,7 @@ def _build_dimension(row: dict[str, Any], group: list[dict[str, Any]]) -> r.Row:
 
 
 def _choose_unit(unit: str, size: float) -> tuple[float, str]:
-    """Return factor and unit of a change; bare numbers are shown in millionths."""
+    """Return factor and unit of a change; dimensionless numbers are shown in 1e-6."""
     return {"1": (1e6, "10⁻⁶"), "m/N": (1e9, "nm/N")}.get(unit) or r.choose_unit(unit, size)
 
 
@@ -399,7 +399,7 @@ def _build_sensitivity(found: Calibration) -> Iterator[r.Element]:
 
 @present_kind.register
 def present_campaign(plan: CalibrationCampaign) -> r.Presentation:
-    """Return how the plan of a calibration is presented."""
+    """Return the presentation of the plan of a calibration."""
     return r.Presentation(
         "Calibration plan", "", "calibration plan", words.describe_plan(plan), None, words.describe_plan_inputs(plan),
         [r.Chapter("curve", "Accuracy by number of poses", lambda: _build_curve(plan), r.On.ALL)],

@@ -18,7 +18,7 @@ NAMES = {
     "complete": "every rod and joint",
     "paths": "a path for every rod",
 }
-"""Structures in words."""
+"""Names of structures."""
 
 ADDED = {
     "periodic": "cyclic error",
@@ -33,7 +33,7 @@ ADDED = {
     "tool_frame": "the target moved between campaigns",
     "base_frame": "the base moved between campaigns",
 }
-"""Additions in words."""
+"""Names of additions."""
 
 MEASURED_KINDS = {
     "pose": "position",
@@ -45,7 +45,7 @@ MEASURED_KINDS = {
     "angle": "angle of a passive joint",
     "travel": "travel of a passive joint",
 }
-"""What devices and fixtures measure, in words."""
+"""Names of the quantities that devices and fixtures measure."""
 
 _EXPLAINED = 1.5
 """Times the predicted error above which the model lacks an effect."""
@@ -67,7 +67,7 @@ def format_p_value(p: float) -> str:
 
 
 def describe_headline(found: Calibration) -> str:
-    """Return the one sentence above everything."""
+    """Return the headline."""
     before, after = found.errors(found.models[0]).position_size, found.errors(found.chosen).position_size
     text = f"The calibrated robot is {format_length(after.mean)} off on average"
     if found.at().of_encoders.all():
@@ -84,7 +84,7 @@ def describe_headline(found: Calibration) -> str:
 
 
 def describe_verdict(found: Calibration) -> Verdict:
-    """Return how far the geometry may be used."""
+    """Return the verdict on the use of the geometry."""
     errors, expected = found.errors(found.chosen), found.predicted_error()
     reached, turned = errors.position_size.rms, errors.orientation_size
     if not found.fit.converged:
@@ -127,7 +127,7 @@ def _judge(level: Level, sentence: str) -> Verdict:
 
 
 def describe_inputs(found: Calibration) -> str:
-    """Return what went in."""
+    """Return a summary of the inputs."""
     what = "position and orientation" if found.poses.rotation is not None else "position"
     judged = {
         "given": f"evaluated on {count(_n(found), 'held-out pose')}",
@@ -144,7 +144,7 @@ def describe_inputs(found: Calibration) -> str:
 
 
 def describe_model(model: CandidateModel, before: CandidateModel | None) -> tuple[str, str]:
-    """Return a step's name, and what it adds, in words."""
+    """Return a step's name, and its additions in words."""
     if before is None:
         return NAMES[model.spec.structure], "device and target placed"
     if model.spec.structure != before.spec.structure:
@@ -171,7 +171,7 @@ def describe_plan(plan: CalibrationCampaign) -> str:
 
 
 def describe_plan_inputs(plan: CalibrationCampaign) -> str:
-    """Return what was looked at."""
+    """Return a summary of the plan's inputs."""
     rank, least = plan.choice.design.found.rank, compute_min_poses(plan.choice.design)
     known = f"{rank} identifiable parameters, at least {least} poses"
     if not plan.choice.design.poses.shows_frames:
@@ -185,7 +185,7 @@ def describe_plan_inputs(plan: CalibrationCampaign) -> str:
 
 
 def describe_placement(found: CameraPlacement) -> str:
-    """Return where the camera should stand, what it sees from there, and what it sees as given."""
+    """Return sentences about the camera's planned pose, its view from there, and its view from the given pose."""
     place, given = found.camera.pose.translation, found.given
     towards = "direction as given"
     if found.look_at is not None:
@@ -206,7 +206,7 @@ def _format_point(point: np.ndarray) -> str:
 
 
 def describe_rehearsal(plan: CalibrationCampaign) -> str:
-    """Return what the simulated calibrations gave, and the tour."""
+    """Return sentences about the results of simulated calibrations, and about the tour."""
     tried, tour = plan.rehearsal, plan.tour
     rows = tried.to_dict()["position_rms"]
     ways = int((tour.pose < 0).sum())

@@ -1,4 +1,4 @@
-"""A comparison of two results: what changed, and what was different besides."""
+"""A comparison of two results: changes, and other differences."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from tau_dyn import results as r
 from tau_dyn.compare import Change, CircumstanceDifference, Comparison, ErrorChange, FindingChange, InputChange
 from tau_dyn.render.presentation import flatten_rows, present_kind
 
-_MAX_ROWS = 40  # of a table on a terminal
+_MAX_ROWS = 40  # rows of a table on a terminal
 _MAX_NAME = 40  # characters of a combination in the headline
 
 
 @present_kind.register
 def present_comparison(found: Comparison) -> r.Presentation:
-    """Return how a comparison is presented."""
+    """Return the presentation of a comparison."""
     tested = len(found.compared)
     badge = (
         "Changed" if found.changed else "Not testable" if not tested else "Tested in part" if found.lacking else "Same"
@@ -100,7 +100,7 @@ def _list_only(found: Comparison) -> list[str]:
 
 
 def describe_headline(found: Comparison) -> str:
-    """Return the one sentence."""
+    """Return the headline."""
     tested = len(found.compared)
     if not found.changes and found.findings:
         moved = [f for f in found.findings if f.what != "same"]
@@ -125,9 +125,9 @@ def describe_headline(found: Comparison) -> str:
 
 
 def order_changes(found: Comparison) -> list[Change]:
-    """Return what changed, clearest first, then what did not, then what only one determines.
+    """Return the significant changes, most significant first, then the others, then values that only one result determines.
 
-    What neither determines is left out: nominal values that are alike are no sign that the robot is.
+    Values that neither result determines are left out: equal nominal values do not show that the robot is unchanged.
     """
     same = [c for c in found.changes if c.changed is False]
     one = [c for c in found.changes if c.determined_by in ("first", "second") and c.changed is None]
@@ -135,7 +135,7 @@ def order_changes(found: Comparison) -> list[Change]:
 
 
 def list_undetermined(found: Comparison) -> list[str]:
-    """Return what neither determines, so that it is not compared, and where the values kept there differ all the same."""
+    """Return a sentence on values that neither result determines, and one on those whose kept values differ."""
     names = [_name(c) for c in found.neither]
     other = [c for c in found.neither if abs(c.difference) > 1e-9 * max(abs(c.a), abs(c.b))]
     kept = [
@@ -150,7 +150,7 @@ def _name(change: Change) -> str:
 
 
 def _name_briefly(change: Change) -> str:
-    """Return a name; of a long combination, only the parameter that leads it."""
+    """Return a name; for a long combination, only its first parameter."""
     name = _name(change)
     return name if len(name) <= _MAX_NAME else f"{name.split(' ')[0]} + …"
 
@@ -166,7 +166,7 @@ def list_cells(change: Change) -> tuple[str, str, str, str, str]:
 
 
 def list_circumstances(found: Comparison) -> list[tuple[str, list[str]]]:
-    """Return what was different besides the answer, by heading: inputs, options, versions, plain numbers."""
+    """Return differences other than in the result, by heading: inputs, options, versions, plain numbers."""
     inputs = [_input_line(i) for i in found.inputs if i.state != "same"]
     if found.inputs and not inputs:
         inputs = [f"the same {r.count(len(found.inputs), 'file')}"]
@@ -198,7 +198,7 @@ def _value(value: Any) -> str:
 
 
 def _error_cells(error: ErrorChange) -> tuple[str, str]:
-    """Return both values, each with its interval where it has one."""
+    """Return both values, each with its interval if it has one."""
     pairs = ((error.a, error.ci95_a), (error.b, error.ci95_b))
     first, second = (
         r.format_number(x) + (f" ({r.format_number(ci[0], 3)} … {r.format_number(ci[1], 3)})" if ci else "")
@@ -208,7 +208,7 @@ def _error_cells(error: ErrorChange) -> tuple[str, str]:
 
 
 def list_findings(found: Comparison) -> list[str]:
-    """Return findings that appeared, vanished or changed, then what those that stayed are worth."""
+    """Return findings that appeared, vanished or changed, then the gains of the unchanged ones."""
     ordered = sorted(found.findings, key=lambda f: f.what == "same")
     return [line for line in map(_finding_line, ordered) if line]
 

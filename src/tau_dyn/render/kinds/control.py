@@ -53,7 +53,7 @@ def _table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> ResultTable:
 
 @present_kind.register
 def present_actuators(found: ActuatorModels) -> Presentation:
-    """Return how fitted actuators are presented."""
+    """Return the presentation of fitted actuators."""
     worst = min(fit.fit_percent for fit in found.fits)
     verdict = Verdict("care" if found.warnings else "good", f"The worst axis is explained to {worst:.3g} %.")
     slowest = min(fit.actuator.bandwidth_hz for fit in found.fits)
@@ -103,7 +103,7 @@ def _build_tests(found: ActuatorModels) -> Iterator[Element]:
 
 @present_kind.register
 def present_learning(found: LearningStep) -> Presentation:
-    """Return how learning is presented."""
+    """Return the presentation of learning."""
     last = [drive.outcomes[-1] for drive in found.drives]
     low, high = (
         max(getattr(drive.forecast, end) / max(rms, 1e-300) for drive, rms in zip(found.drives, last, strict=True))
@@ -129,7 +129,7 @@ def present_learning(found: LearningStep) -> Presentation:
 
 
 def _judge_learning(found: LearningStep) -> Verdict:
-    """Return what the trials support, and no more."""
+    """Return the verdict that the trials support."""
     actions = [drive.action for drive in found.drives]
     stopped = [j for j, action in zip(found.joints, actions, strict=True) if action == "stop"]
     if stopped:
@@ -207,7 +207,7 @@ def _build_frequencies(found: LearningStep) -> Iterator[Element]:
 
 
 def _draw_growth(joint: str, drive: JointLearning) -> Figure:
-    """Return one drive's growth of an error in a trial over frequency."""
+    """Return the growth of one drive's error per trial over frequency."""
     f = drive.response.frequency
     shown = f <= 2 * (drive.law.cutoff_hz if drive.law else 20.0)
     mean, stderr = (x[shown] for x in drive.growth())
@@ -236,7 +236,7 @@ def _build_trial(found: LearningStep) -> Iterator[Element]:
 
 @present_kind.register
 def present_observation(found: ToolObservation) -> Presentation:
-    """Return how an observed tool is presented."""
+    """Return the presentation of an observed tool."""
     half = 1e6 * 1.96 * float(found.stderr.max())
     return Presentation(
         "Observed tool", ", ".join(found.axes), "Observed tool",
@@ -271,7 +271,7 @@ def _build_deflection(found: ToolObservation) -> Iterator[Element]:
 
 @present_kind.register
 def present_lead_through(found: LeadThroughAdvice) -> Presentation:
-    """Return how limits of lead-through are presented."""
+    """Return the presentation of limits of lead-through."""
     share = float(found.settings.gain[0, 0]) / found.limit.gain
     return Presentation(
         "Lead-through", "force loop", "Lead-through: stability limit and settings",

@@ -1,7 +1,7 @@
-"""A diagnosis: what the simulation gets wrong, which cause explains it, and how much better it is then.
+"""A diagnosis: the model error, its causes, and the improvement by each cause.
 
-The answer stands first, then the waterfall, one card a finding, what stays unexplained, the forces over time, the limits of
-detection, the parameters, and last why to trust it.
+The order is: the answer, the waterfall, one card for each finding, unexplained structure, forces over time, detection limits,
+parameters, and quality of the fit.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from tau_dyn.render.kinds.waterfall import (
 from tau_dyn.render.presentation import ZOOM, list_logs_used, pad_used, present_kind, warn
 
 PARTS = {1: "confirm", 2: "held"}
-"""How the time view shades what each part of the data served; what was trained on stays plain."""
+"""Shades of the parts of the data in the time view; training data are not shaded."""
 _LIMIT = "detection limit (95 % power, worst joint)"
 _MAX_PICTURED = 2
 """Findings whose signature a notebook shows."""
@@ -32,7 +32,7 @@ _MAX_PICTURED = 2
 
 @present_kind.register
 def present_diagnosis(found: Diagnosis) -> r.Presentation:
-    """Return how a diagnosis is presented."""
+    """Return the presentation of a diagnosis."""
     robot, (level, badge) = found.model.robot, words.describe_badge(found)
     cards = [_build_card(found, finding, k) for k, finding in enumerate(found.findings)]
     sections = [
@@ -59,7 +59,7 @@ def present_diagnosis(found: Diagnosis) -> r.Presentation:
 
 
 def _tabulate(found: Diagnosis) -> list[dict[str, object]]:
-    """Return one row a finding, strongest first; its gain is on data used for nothing else."""
+    """Return one row for each finding, strongest first; its gain is measured on test data."""
     rows = []
     for f in found.findings:
         low, high = (np.nan, np.nan) if f.gain is None else f.gain.ci95
@@ -74,7 +74,7 @@ def _tabulate(found: Diagnosis) -> list[dict[str, object]]:
 
 
 def _list_joints(found: Diagnosis) -> tuple[str, ...]:
-    """Return the joints that the answer is about: those of confirmed causes, else of what is suspected or unexplained."""
+    """Return the joints of confirmed causes, else those of suspected causes or unexplained structure."""
     confirmed = [f for f in found.findings if f.status == "confirmed"]
     named = [j for f in (confirmed or found.findings) for j in f.joints]
     return tuple(dict.fromkeys(named or [u.joint for u in found.unexplained]))
@@ -156,7 +156,7 @@ def _list_evidence(found: Diagnosis, finding: Finding) -> Iterator[r.Element]:
 
 
 def _get_unit(found: Diagnosis, finding: Finding) -> str:
-    """Return the unit of a finding's residual; empty where its outputs have several."""
+    """Return the unit of a finding's residual; empty if its outputs have several units."""
     units = {u for o, u in zip(found.outputs, found.units, strict=True) if o in finding.joints}
     units = units or set(found.units)
     return units.pop() if len(units) == 1 else ""
@@ -201,7 +201,7 @@ def _build_time(found: Diagnosis) -> Iterator[r.Element]:
 
 
 def _build_view(found: Diagnosis, trace: TimeTrace, k: int) -> r.View:
-    """Return one output's measurement, both models, and what each leaves, in a unit that reads well."""
+    """Return one output's measurement, both models and their residuals, in a readable unit."""
     used = trace.usable[:, k]
     three = np.column_stack([trace.measured[:, k], trace.before[:, k], trace.after[:, k]])
     factor, unit = r.choose_unit(found.units[k], float(np.max(np.abs(three[used]), initial=0.0)))
@@ -221,7 +221,7 @@ def _build_view(found: Diagnosis, trace: TimeTrace, k: int) -> r.View:
 
 
 def _list_bands(trace: TimeTrace) -> tuple[tuple[float, float, str], ...]:
-    """Return the stretches that were kept for confirming and for measuring the gain."""
+    """Return the intervals of validation data and of test data."""
     edges = np.flatnonzero(np.diff(trace.part)) + 1
     starts, stops = np.concatenate([[0], edges]), np.concatenate([edges, [len(trace.t) - 1]])
     kinds = [PARTS.get(int(trace.part[start])) for start in starts]
@@ -273,7 +273,7 @@ def _build_quality(found: Diagnosis) -> Iterator[r.Element]:
 
 
 def _list_uncertain(found: Diagnosis) -> Iterator[r.Element]:
-    """Give what a terminal says below the bars."""
+    """Yield the terminal's text below the bars."""
     twins = [
         f"{words.format_title(f)} from {r.format_list(map(words.format_cause_name, f.indistinguishable_from))}"
         + (f"; to separate them: {f.experiment.rstrip('.')}" if f.experiment else "")
@@ -296,7 +296,7 @@ def _list_uncertain(found: Diagnosis) -> Iterator[r.Element]:
 
 
 def _describe_finding(finding: Finding) -> str:
-    """Return a cause, its figures, and why it is not confirmed, where so."""
+    """Return a cause, its figures, and the reason if it is not confirmed."""
     figures = format_finding(finding)[1 if finding.joints else 0 :]  # the title names the joints
     text = f"{words.format_title(finding)}: {', '.join(figures)}"
     return f"{text}. Not confirmed: {finding.why_not_confirmed}" if finding.why_not_confirmed else text

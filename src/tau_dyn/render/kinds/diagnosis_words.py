@@ -1,4 +1,4 @@
-"""A diagnosis in sentences and plots: the verdict, the evidence of a finding, detection limits, what was not testable."""
+"""A diagnosis in sentences and plots: the verdict, the evidence of a finding, detection limits, untestable causes."""
 
 from __future__ import annotations
 
@@ -37,22 +37,22 @@ MEASURED = {
     "position": "range of motion",
 }
 FULL_EFFECT_SHARE = 0.8
-"""Share of the predicted effect from which held-out data are said to show it all."""
+"""Share of the predicted effect above which held-out data are reported to show the full effect."""
 FINE = 90
-"""Steps in which the fitted effect is drawn."""
+"""Number of steps in which the fitted effect is drawn."""
 JUMP = 4.0
-"""How many usual steps of the fitted curve make a jump at zero, where it is then broken."""
+"""Size of a step at zero, relative to the median step, above which the fitted curve is interrupted there."""
 
 
 def describe_badge(diagnosis: Diagnosis) -> tuple[r.Level, str]:
-    """Return the verdict's level and its few words; several causes are counted."""
+    """Return the verdict's level and its short text; several causes are counted."""
     level, text = BADGE[diagnosis.verdict]
     n = sum(f.status == "confirmed" for f in diagnosis.findings)
     return (level, f"{r.count(n, 'cause')} named") if diagnosis.verdict == "named" and n > 1 else (level, text)
 
 
 def recommend_model(diagnosis: Diagnosis) -> r.Verdict:
-    """Return what to do with the answer, in a sentence."""
+    """Return the recommendation in one sentence."""
     level, _ = BADGE[diagnosis.verdict]
     what, floor_ = describe_error_reference(diagnosis), r.format_percent(diagnosis.noise_floor.relative_error_percent)
     before, after = (r.format_percent(e.relative_error_percent) for e in (diagnosis.baseline, diagnosis.extended))
@@ -86,13 +86,13 @@ def recommend_model(diagnosis: Diagnosis) -> r.Verdict:
 
 
 def _print_fall(before: OutputErrors, after: OutputErrors) -> tuple[str, str]:
-    """Return two relative errors to as many digits as a gain needs."""
+    """Return two relative errors with enough digits to show a gain."""
     one, other = (r.format_percent(e.relative_error_percent, PRINTED_DIGITS) for e in (before, after))
     return one, other
 
 
 def describe_search_band(diagnosis: Diagnosis) -> str:
-    """Return the errors in the band in which causes are searched, in a sentence; empty where it is that of all errors."""
+    """Return a sentence with the errors in the band of the search for causes; empty if all errors use this band."""
     band = diagnosis.search_band
     if band is None:
         return ""
@@ -107,7 +107,7 @@ def describe_search_band(diagnosis: Diagnosis) -> str:
 
 
 def describe_all_samples(diagnosis: Diagnosis) -> str:
-    """Return the errors over all samples, and how much of them the errors above use, in a sentence; empty where not known."""
+    """Return a sentence with the errors over all samples and the share of used samples; empty if not known."""
     before, after = diagnosis.baseline.all_samples, diagnosis.extended.all_samples
     if before is None or after is None:
         return ""
@@ -127,20 +127,20 @@ def describe_all_samples(diagnosis: Diagnosis) -> str:
 
 
 def describe_inputs(diagnosis: Diagnosis) -> str:
-    """Return what went in: logs, seconds, how they were divided."""
+    """Return a summary of the inputs: logs, seconds, division into parts."""
     logs = list(dict.fromkeys(trace.log for trace in diagnosis.traces))
     named = f"{r.format_list(logs) if len(logs) <= 3 else r.count(len(logs), 'log')}; " if logs else ""
     return f"{named}{describe_parts(diagnosis)}."
 
 
 def describe_parts(diagnosis: Diagnosis) -> str:
-    """Return how many seconds served what."""
+    """Return the duration of each part of the data."""
     train, confirm, judge = (f"{r.format_number(s, 3)} s" for s in diagnosis.n_parts)
     return f"training {train}, validation {confirm}, test {judge}"
 
 
 def describe_error_reference(diagnosis: Diagnosis) -> str:
-    """Return what the errors are a share of."""
+    """Return the reference of relative errors."""
     return MEASURED.get(diagnosis.channel, "measurement")
 
 
@@ -161,7 +161,7 @@ def format_p_value(p_value: float) -> str:
 
 
 def describe_gain(gain: Gain | None, unit: str = "") -> str:
-    """Return what a cause is worth on data used for nothing else, with its interval."""
+    """Return the gain of a cause on test data, with its interval."""
     if gain is None:
         return "not applicable: the refit absorbs the effect, so the error does not change"
     low, high = (r.format_number(x, 2) for x in gain.ci95)
@@ -171,7 +171,7 @@ def describe_gain(gain: Gain | None, unit: str = "") -> str:
 
 
 def describe_confirmation(confirmation: tuple[float, float] | None) -> str:
-    """Return how much of the predicted effect the second part of the data shows."""
+    """Return the share of the predicted effect in the validation data."""
     if confirmation is None:
         return ""
     share, sigma = (100 * x for x in confirmation)
@@ -180,7 +180,7 @@ def describe_confirmation(confirmation: tuple[float, float] | None) -> str:
 
 
 def describe_unexplained(item: Unexplained) -> str:
-    """Return what is left and what it depends on, in a sentence."""
+    """Return a sentence about unexplained structure and the variable that it depends on."""
     share = r.format_percent(100 * item.share_of_residual_variance)
     text, on = f"{share} of the residual variance at {item.joint}", r.format_list(item.depends_on)
     if not item.depends_on:
@@ -202,7 +202,7 @@ def list_limits(limits: Sequence[Limit]) -> list[str]:
 
 
 def group_by_reason(items: Sequence[Untestable]) -> list[tuple[str, list[str]]]:
-    """Return each reason why causes could not be tested, with the names of the causes that it holds for."""
+    """Return each reason why causes could not be tested, with the names of these causes."""
     causes: dict[str, list[str]] = {}
     for item in items:
         causes.setdefault(item.why, []).append(format_cause_name(item.cause))
@@ -210,7 +210,7 @@ def group_by_reason(items: Sequence[Untestable]) -> list[tuple[str, list[str]]]:
 
 
 def list_settings(settings: Mapping[str, Any], owner: str = "") -> list[tuple[str, str]]:
-    """Return settings as names and texts, those within others after their owner's name."""
+    """Return settings as names and texts; the name of a nested setting follows that of its owner."""
     rows: list[tuple[str, str]] = []
     for key, value in settings.items():
         name = f"{owner}{str(key).replace('_', ' ')}"
@@ -222,7 +222,7 @@ def list_settings(settings: Mapping[str, Any], owner: str = "") -> list[tuple[st
 
 
 def list_simulation_rows(simulation: Mapping[str, Any] | None) -> list[tuple[str, str, str]]:
-    """Return quantity, before and after of the closed-loop simulation, whatever it compared."""
+    """Return quantity, before and after, for each quantity compared in the closed-loop simulation."""
     before, after = ((simulation or {}).get(key) for key in ("before", "after"))
     if not isinstance(before, Mapping) or not isinstance(after, Mapping):
         return []
@@ -244,10 +244,10 @@ def format_value(value: Any) -> str:
 
 
 def build_signature_figures(signature: Signature, *, explained: bool = True) -> list[r.Figure]:
-    """Return the plot without the cause and, where one explains it, the plot of what is left with it, in equal frames.
+    """Return the plot without the cause and, if the cause is named, the plot of the residual with it, with equal axes.
 
     Args:
-        signature: What to draw.
+        signature: The signature to draw.
         explained: Whether `fitted` is a named cause; else it is only a smooth curve through unexplained structure.
     """
     after = signature.y - signature.fitted
@@ -271,7 +271,7 @@ def _scatter(x: np.ndarray, y: np.ndarray, limits: tuple[float, float]) -> tuple
 
 
 def _trace_effect(signature: Signature) -> tuple[np.ndarray, np.ndarray]:
-    """Return the fitted effect over the horizontal axis (n,), its mean in fine steps, broken where it jumps at zero."""
+    """Return the fitted effect over the horizontal axis (n,) as means in fine steps, interrupted at zero if it jumps there."""
     at, mean, _ = r.average_in_bins(signature.x, signature.fitted, FINE)
     change = np.flatnonzero(np.diff(np.sign(at)))
     if change.size and len(at) > 4:

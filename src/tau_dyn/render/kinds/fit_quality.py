@@ -1,8 +1,8 @@
-"""Quality of a fit: forces over time, data used and left out, conditioning, friction curves, and what is left.
+"""Quality of a fit: forces over time, data used and left out, conditioning, friction curves, and residuals.
 
-A residual in which nothing is left looks like noise through the fit's own filter: measured forces and columns were low-passed
-together, so even pure noise is correlated over a few samples. `compute_noise_correlation` is that of noise in forces and of noise
-in positions, differentiated once and twice; what lies outside it is something the model misses, or noise of another colour.
+The residual of a complete model looks like noise through the fit's own filter: measured forces and columns have the same
+low-pass, so even white noise is correlated over a few samples. `compute_noise_correlation` is the autocorrelation of noise in
+forces and of noise in positions, differentiated once and twice. A deviation from it is a model error, or noise of another colour.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from tau_dyn.render.kinds.parameter_rows import ParameterRow
 from tau_dyn.render.presentation import pad_used
 
 WELL, FAIR = 30.0, 200.0
-_BIASED_LEVEL = 0.01  # chance at which so few estimates of an unbiased fit lie within 2 standard errors
-MIN_REPORTED_CORRELATION = 0.9  # between two parameters; less leaves both readable
+_BIASED_LEVEL = 0.01  # p-value below which too few estimates are within 2 standard errors for an unbiased fit
+MIN_REPORTED_CORRELATION = 0.9  # between two parameters; smaller correlations are harmless
 LAGS = 20.0
-"""Longest lag times the low-pass' cutoff; at least 0.3 s and at most 2 s are shown."""
+"""Longest lag times the low-pass' cutoff; the shown range is limited to 0.3 s to 2 s."""
 MAX_EXCESS_CORRELATION = 0.2
-"""Autocorrelation beyond that of noise that counts as something left."""
+"""Deviation from the autocorrelation of noise above which a residual counts as systematic."""
 CHANCE = 0.01
-"""Of a joint's noise to exceed its bound at any lag."""
+"""Probability that the noise of a joint exceeds its bound at any lag."""
 FILTER_ORDER = 4
-"""Of the fit's Butterworth low-pass, each way."""
+"""Order of the fit's Butterworth low-pass, in each direction."""
 DOTS = 1200  # samples of a friction curve drawn at most
 
 
@@ -45,9 +45,9 @@ class ResidualSummary:
         values: Measured minus predicted (n,).
         lags: Time lags (m,) [s].
         correlation: Autocorrelation at the lags (m,).
-        expected: That of noise through the same low-pass (m,).
-        bound: What the autocorrelation of noise stays within at all lags, in 99 of 100 logs.
-        lasts_s: Lag from which on it stays within 0.2 of noise [s].
+        expected: Autocorrelation of noise through the same low-pass (m,).
+        bound: Bound on the autocorrelation of noise at all lags, valid in 99 of 100 logs.
+        lasts_s: Lag after which the autocorrelation is within 0.2 (or the bound, if larger) of that of noise [s].
     """
 
     joint: str
@@ -61,7 +61,7 @@ class ResidualSummary:
 
     @property
     def white(self) -> bool:
-        """Whether nothing systematic is left beyond the filter's own correlation."""
+        """Whether the residual has no systematic part beyond the correlation of the filter."""
         return self.lasts_s <= 0.0
 
 
@@ -98,9 +98,9 @@ def _residual(regression: Regression, errors: list[np.ndarray], k: int, cutoff_h
 
 
 def compute_noise_correlation(correlation: np.ndarray, lags: np.ndarray, cutoff_hz: float) -> np.ndarray:
-    """Return the autocorrelation (m,) of noise after the fit's zero-phase low-pass that is nearest to one found (m,).
+    """Return the autocorrelation (m,) of noise after the fit's zero-phase low-pass that is closest to a given one (m,).
 
-    The noise is a sum of white noise of a force, and of a position differentiated once and twice: powers 0, 2 and 4 of frequency.
+    The noise is the sum of white noise of a force and of a position differentiated once and twice: powers 0, 2, 4 of frequency.
     """
     f = np.linspace(0.0, 4 * cutoff_hz, 4001)
     passed = (1 / (1 + (f / cutoff_hz) ** (2 * FILTER_ORDER))) ** 2
@@ -117,10 +117,10 @@ def _lagged_sum(x: np.ndarray, n_lags: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Friction:
-    """One joint's friction: measured force minus every other identified force.
+    """One joint's friction: measured force minus all other identified forces.
 
-    The fit's low-pass smears the law's step at zero speed in data and columns alike. A sample is therefore shown at the law's
-    own value plus its residual, which is the same difference without that smear.
+    The fit's low-pass smooths the law's step at zero speed in data and columns. Therefore a sample is shown at the value of the
+    law plus its residual, which is the same difference without smoothing.
 
     Attributes:
         joint: The joint.
@@ -129,8 +129,8 @@ class Friction:
         v: Speeds of the used samples (n,).
         force: Law plus residual of these samples (n,).
         grid: Speeds at which the law is drawn (m,), with a step at zero.
-        law: The identified law there (m,).
-        offset: Constant force that was taken off; 0 where the model has none.
+        law: The identified law at these speeds (m,).
+        offset: Constant force that was subtracted; 0 if the model has no offset.
         threshold: Speed below which samples are masked.
     """
 
@@ -146,7 +146,7 @@ class Friction:
 
 
 def build_friction_curves(found: Identification) -> list[Friction]:
-    """Return the friction of every joint that has a law of its own speed and moved."""
+    """Return the friction of every joint that moved and has a law of its own speed."""
     effects = [e for e in found.model.effects if isinstance(e, JointwiseEffect) and not isinstance(e, TorqueOffset)]
     joints = found.model.robot.actuated
     curves = [_friction(found, k, [e for e in effects if joint in e.joints]) for k, joint in enumerate(joints)]
@@ -203,14 +203,14 @@ def build_friction_figure(curve: Friction) -> r.Figure:
 
 
 def describe_offset(curve: Friction) -> str:
-    """Return what constant force was taken off a friction curve, empty if none."""
+    """Return a sentence about the constant force subtracted from a friction curve; empty without an offset."""
     return (
         f"{curve.joint}: offset {r.format_number(curve.offset, 3)} {r.format_unit(curve.unit)}" if curve.offset else ""
     )
 
 
 def build_residual_histogram(residual: ResidualSummary) -> r.Figure:
-    """Return how the residual is distributed, with the normal distribution of the same width."""
+    """Return the histogram of the residual, with the normal distribution of the same standard deviation."""
     sigma = float(np.std(residual.values)) or 1.0
     edges = np.linspace(-4, 4, 41) * sigma
     counts, _ = np.histogram(np.clip(residual.values, edges[0], edges[-1]), edges)
@@ -235,7 +235,7 @@ def build_correlation_figure(residual: ResidualSummary) -> r.Figure:
 
 
 def describe_preparation(found: Identification) -> list[str]:
-    """Return how logs became a regression, one sentence a step."""
+    """Return the preparation of the regression from the logs, one sentence per step."""
     regression = found.estimate.regression
     p, robot = regression.preparation, found.model.robot
     rate = 1 / float(np.median(np.diff(regression.runs[0].t)))
@@ -261,7 +261,7 @@ def _speed(v: float, unit: str) -> str:
 
 
 def describe_used_data(found: Identification) -> str:
-    """Return how much of the data the fit uses, and what the rest looks like."""
+    """Return a sentence about the share of data that the fit uses, and about the rest."""
     train, n = found.train, found.estimate.regression.n_samples
     text = (
         f"The fit uses {r.format_percent(100 * train.used_share)} of the samples: {r.format_thousands(n)} force values."
@@ -279,7 +279,7 @@ def describe_conditioning(cond: float) -> str:
 
 
 def describe_separation(cond: float) -> str:
-    """Return what a condition number means, as a clause."""
+    """Return the meaning of a condition number, as a clause."""
     if cond < WELL:
         return "the parameters are well separated"
     if cond < FAIR:
@@ -300,7 +300,7 @@ def list_correlations(found: Identification, most: int = 8) -> list[tuple[str, s
 
 
 def list_combinations(found: Identification) -> list[str]:
-    """Return what the data do see of parameters that they cannot see alone, with values; best known (relative error) first."""
+    """Return the identifiable combinations of parameters, with values; smallest relative error first."""
     together = [row for row in found.base_rows() if row["expression"] != row["name"]]
     if found.determined_combinations is not None:
         together = found.combination_rows()
@@ -325,7 +325,7 @@ def describe_truth_errors(rows: list[ParameterRow]) -> str:
 
 
 def describe_whiteness(residuals: list[ResidualSummary]) -> str:
-    """Return what the autocorrelation says."""
+    """Return a sentence about the autocorrelation of the residuals."""
     left = [f"{row.joint} ({r.format_number(row.lasts_s, 2)} s)" for row in residuals if not row.white]
     if not left:
         return "The residuals' autocorrelation is that of noise through the low-pass."
@@ -336,7 +336,7 @@ def describe_whiteness(residuals: list[ResidualSummary]) -> str:
 
 
 def describe_fixed(found: Identification) -> list[str]:
-    """Return what was kept at a given value."""
+    """Return the parameters that were fixed at a given value."""
     return [
         f"{p.name} = {r.format_number(p.value)} {r.format_unit(p.unit)} ({p.origin})"
         for p in found.parameters
@@ -345,7 +345,7 @@ def describe_fixed(found: Identification) -> list[str]:
 
 
 def describe_inputs(found: Identification) -> str:
-    """Return what went in, in a line: robot, logs, seconds, rate, how it was judged."""
+    """Return a summary of the inputs in a line: logs, seconds, data for evaluation."""
     runs = found.estimate.regression.runs
     logs = list(dict.fromkeys(run.name for run in runs))
     seconds = sum(float(run.t[-1] - run.t[0]) for run in runs)
@@ -354,7 +354,7 @@ def describe_inputs(found: Identification) -> str:
 
 
 def list_views(found: Identification) -> Iterator[r.View]:
-    """Give every stretch and joint there is to look at: logs the fit never saw first."""
+    """Yield a view of every segment and joint: held-out logs first."""
     own_logs, train = bool(found.model.provenance.get("held_out")), found.estimate.regression
     if own_logs and found.held is not None:
         yield from _list_stretches(found, found.held, True, None)

@@ -1,4 +1,4 @@
-"""An identification: headline, how far it may be used, error by joint, forces, friction, parameters, quality of fit."""
+"""An identification: headline, verdict, error by joint, forces, friction, parameters, quality of fit."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from tau_dyn.render.kinds.parameter_rows import (
 from tau_dyn.render.presentation import BADGES, ZOOM, flatten_rows, list_logs_used, present_kind, warn
 
 _MAX_COMBINATIONS = 4
-"""Combinations of parameters that the screen lists."""
+"""Largest number of combinations of parameters on the screen."""
 _MAX_CURVES = 4
-"""Friction curves that a notebook shows."""
+"""Largest number of friction curves in a notebook."""
 POOR_PERCENT = 100 * MAX_MISSED_SHARE
-"""Held-out error above which a model is called unfit, as a joint's share above which its fit is called poor."""
+"""Held-out error above which a model is reported as not usable, and a joint's fit as poor [%]."""
 _HOPELESS_PERCENT = 50.0
-"""Held-out error that no missing cause explains, while a column with a turned sign or in another unit does."""
+"""Held-out error [%] that a missing cause cannot explain, but a column with a wrong sign or unit can."""
 _LOOK = " Check signs, units and the order of columns first: tau-dyn check LOG ROBOT."
 OVERFIT = 1.5
-"""Held-out error over training error above which the fit does not carry over to other data."""
+"""Ratio of held-out to training error above which the fit does not generalise to other data."""
 
 
 @present_kind.register
 def present_identification(found: Identification, *, truth: Mapping[str, float] | None = None) -> r.Presentation:
-    """Return how an identification is presented.
+    """Return the presentation of an identification.
 
     Args:
         found: The result.
-        truth: True parameter values by name, where the logs were simulated; adds a column.
+        truth: True parameter values by name, if the logs were simulated; adds a column.
     """
     robot, rows = found.model.robot, build_parameter_rows(found, truth)
     fits = [effect.equation for effect in found.model.effects]
@@ -96,7 +96,7 @@ def _build_glance(found: Identification, rows: Sequence[ParameterRow]) -> Iterat
 
 
 def _build_errors(found: Identification) -> r.ResultTable:
-    """Return one line a joint: errors held out and in training, of all samples, and how many are used."""
+    """Return one row per joint: held-out and training errors, errors of all samples, and the number of used samples."""
     judged, train, units = found.holdout or found.train, found.train, found.model.robot.force_units
     held, every = found.holdout is not None, judged.all_samples
     worst = max([*judged.per_joint_percent, *train.per_joint_percent], default=1.0) or 1.0
@@ -180,7 +180,7 @@ def _build_parameters(
 
 
 def _list_per_log(found: Identification) -> list[r.Chapter]:
-    """Return the section of parameters with a value per log; none where there are none."""
+    """Return the section of parameters with a value per log; an empty list without such parameters."""
     if not found.per_log:
         return []
 
@@ -207,7 +207,7 @@ def _list_per_log(found: Identification) -> list[r.Chapter]:
 
 
 def _list_motors(found: Identification) -> list[r.Chapter]:
-    """Return the section of the motors' circuits; none where no voltage stands beside current or force."""
+    """Return the section of the motors' circuits; an empty list without a voltage in addition to current or force."""
     if not len(found.motors):
         return []
 
@@ -227,7 +227,7 @@ def _list_motors(found: Identification) -> list[r.Chapter]:
 
 
 def _list_uncertain(found: Identification) -> Iterator[r.Element]:
-    """Give what a terminal says below the table."""
+    """Yield the terminal's text below the table."""
     rows = found.rows()
     weak = found.poorly_determined
     alone = [row for row in rows if row["stderr"] is None and not row.get("depends_on")]
@@ -285,7 +285,7 @@ def _build_quality(found: Identification) -> Iterator[r.Element]:
 
 
 def describe_headline(found: Identification, truth: Mapping[str, float] | None = None) -> str:
-    """Return the one sentence above everything; with the truth at hand it tells true errors, not only claimed ones."""
+    """Return the headline; if the truth is known, with true errors in addition to estimated ones."""
     if found.holdout is not None:
         start = f"Held-out prediction error: {describe_both_errors(found.holdout)}"
     else:
@@ -294,7 +294,7 @@ def describe_headline(found: Identification, truth: Mapping[str, float] | None =
 
 
 def describe_both_errors(errors: ForceErrors) -> str:
-    """Return the error on the samples that a fit uses, and that on all samples beside it."""
+    """Return the error on the samples that a fit uses, and the error on all samples."""
     used = r.format_percent(errors.relative_error_percent)
     return (
         used
@@ -304,7 +304,7 @@ def describe_both_errors(errors: ForceErrors) -> str:
 
 
 def describe_verdict(found: Identification, truth: Mapping[str, float] | None = None) -> r.Verdict:
-    """Return how far the result may be used; estimates far from a known true value are named."""
+    """Return the verdict on the use of the result; estimates far from a known true value are listed."""
     judged = found.holdout or found.train
     error, weak = judged.relative_error_percent, found.poorly_determined
     if error > POOR_PERCENT:
@@ -353,13 +353,13 @@ _judge = partial(r.judge, badges=BADGES)
 
 
 def name_mass_group(name: str) -> str:
-    """Return what a mass is a mass of, without its number: `rod2a_link.mass` -> `rod`."""
+    """Return the kind of body of a mass, without its number: `rod2a_link.mass` -> `rod`."""
     owner = name.rsplit(".", 1)[0].removesuffix("_link")
     return re.sub(r"_?\d+[a-z]?$", "", owner) or owner
 
 
 def _missed(rows: Sequence[dict[str, Any]], truth: Mapping[str, float]) -> list[str]:
-    """Return the names of estimates more than three standard errors away from the truth."""
+    """Return the names of estimates that differ from the truth by more than three standard errors."""
     compared = [row for row in rows if row["name"] in truth and row["stderr"]]
     return [row["name"] for row in compared if abs(row["value"] - truth[row["name"]]) > 3 * row["stderr"]]
 

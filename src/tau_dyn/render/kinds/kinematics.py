@@ -14,12 +14,12 @@ from tau_dyn.render.presentation import list_assumptions, present_kind, warn
 _MAX_ROWS = 200  # rows of a table on a page
 _MAX_PRINTED = 12  # rows of a table on a terminal
 _KEPT = ("pose", "row", "signs", "mode")
-"""Columns that tell which row it is."""
+"""Columns that identify a row."""
 
 
 @present_kind.register
 def present_poses(table: PoseTable) -> r.Presentation:
-    """Return how positions and poses are presented."""
+    """Return the presentation of positions and poses."""
     answered, rows = int(table.ok.sum()), len(table.q)
     every = "Answered" if rows == 1 else "All rows answered"
     badge = every if answered == rows else f"{answered} of {rows} answered"
@@ -66,7 +66,7 @@ def _tell(x: Any) -> str:
 
 
 def _build_table(table: PoseTable, on: r.On) -> r.ResultTable:
-    """Return the rows; what tells a row is repeated where a terminal splits the table."""
+    """Return the rows; columns that identify a row are repeated if a terminal splits the table."""
     heads = _heads(table)
     kept = [k for k, head in enumerate(heads) if head in _KEPT]
     shown = [
@@ -83,7 +83,7 @@ def _build_table(table: PoseTable, on: r.On) -> r.ResultTable:
 
 
 def _choose_paged(table: PoseTable, heads: list[str], kept: list[int]) -> list[int]:
-    """Return a page's columns; reasons only where there are some."""
+    """Return a page's columns, with reasons only if there are any."""
     why = heads.index("why not")
     return [*([] if table.ok.all() else [why]), *(k for k in range(len(heads)) if k not in (*kept, why))]
 
@@ -94,9 +94,9 @@ def _choose_printed(table: PoseTable, heads: list[str], kept: list[int]) -> list
     place = [k for k, head in enumerate(heads) if head in ("x [m]", "y [m]", "z [m]")]
     turns = [heads.index(f"q{axis}") for axis in "xyzw"]
     why = [] if table.ok.all() else [heads.index("why not")]
-    if table.inverse:  # a pose that all rows share stands in the headline
+    if table.inverse:  # a pose that all rows share is in the headline
         return [*joints, *why, *([] if len(np.unique(table.pose)) == 1 else place)]
-    one = len(table.counts) == 1  # its positions are known; orientations tell modes apart
+    one = len(table.counts) == 1  # its positions are known; orientations distinguish modes
     return [*place, *turns, *why] if one else [*place, *why, *joints]
 
 

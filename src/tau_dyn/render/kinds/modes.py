@@ -1,4 +1,4 @@
-"""Resonances: which there are and how they move, the model over the data, how far to trust both, and how it was decided."""
+"""Resonances: list and mode shapes, the model with the data, validation of both, and choice of the model."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from tau_dyn.render.kinds.modes_words import (
 from tau_dyn.render.presentation import present_kind, warn
 
 SHAPES = 8
-"""Modes whose shapes are drawn."""
+"""Largest number of drawn mode shapes."""
 BAR_SPAN = 0.5
 """Relative error of a damping ratio at the end of its bar."""
 _MAX_TESTS = 9
-"""Correlation tests that are drawn."""
+"""Largest number of drawn correlation tests."""
 _MAX_RESPONSES = 4
-"""Responses that a notebook shows, and below which a page draws phases, too."""
+"""Largest number of responses in a notebook, and for which a page also draws phases."""
 _RESONANCE = r.Key("mode", "resonance")
 
 
@@ -40,11 +40,11 @@ _RESONANCE = r.Key("mode", "resonance")
 def present_modes(
     found: Modes, *, on_robot: ShapesOnRobot | None = None, logs: Sequence[tuple[str, str]] = ()
 ) -> r.Presentation:
-    """Return how resonances are presented.
+    """Return the presentation of resonances.
 
     Args:
         found: The result.
-        on_robot: Its modes on a robot, to be drawn there; without, they are drawn on the axes of the outputs.
+        on_robot: Its modes on a robot, to be drawn there; otherwise they are drawn on the axes of the outputs.
         logs: Name and hash of every log.
     """
     names = list(dict.fromkeys(t.log for t in found.traces))
@@ -73,7 +73,7 @@ def present_modes(
 def present_operational_modes(
     found: OperationalModes, *, on_robot: ShapesOnRobot | None = None, logs: Sequence[tuple[str, str]] = ()
 ) -> r.Presentation:
-    """Return how resonances from responses alone are presented; options as for `Modes`."""
+    """Return the presentation of resonances from operational modal analysis; options as for `Modes`."""
     name = ", ".join(dict.fromkeys(name for name, _ in logs)) or "log"
     sections = [
         *warn(list(map(_tidy, found.warnings))),
@@ -180,7 +180,7 @@ def _count_orders(found: Modes | OperationalModes, m: Mode, orders: Sequence[int
 
 
 def draw_on_robot(shapes: ShapesOnRobot, chosen: Sequence[bool]) -> Iterator[r.Element]:
-    """Give the chosen modes on the robot, measured and of the robot file's own springs side by side."""
+    """Yield the chosen modes on the robot, measured ones next to those of the springs in the robot file."""
     pairs = [pair for pair, take in zip(shapes.pairs, chosen, strict=True) if take][:SHAPES]
     if not pairs:
         return
@@ -220,7 +220,7 @@ def _build_response(found: Modes) -> Iterator[r.Element]:
     key = [r.Key("data", "data alone"), r.Key("predicted", "model"), r.Key("sure", "95 % band"), _RESONANCE]
     bode = [figures.build_bode_figure(found, i, j) for i, j in pairs]
     yield r.Figures(bode[:_MAX_RESPONSES], on=r.On.NOTEBOOK)
-    if len(pairs) <= _MAX_RESPONSES:  # each row of magnitudes above its phases
+    if len(pairs) <= _MAX_RESPONSES:  # each row of magnitudes is above its phases
         n, phases = figures.count_chart_columns(found), [figures.build_phase_figure(found, i, j) for i, j in pairs]
         bode = [f for k in range(0, len(pairs), n) for f in (*bode[k : k + n], *phases[k : k + n])]
     yield r.Figures(bode, layout, key)
@@ -328,7 +328,7 @@ def _build_tests(found: Modes) -> Iterator[r.Element]:
 
 
 def _select_worst(tests: Sequence[CorrelationTest]) -> list[CorrelationTest]:
-    """Return the tests to draw: all where they fit, else the worst, in their own order."""
+    """Return the tests to draw in their order: all of them if they fit, else the worst."""
     worst = sorted(tests, key=lambda t: t.p_value)[:_MAX_TESTS]
     return [t for t in tests if any(t is w for w in worst)]
 

@@ -1,6 +1,6 @@
-"""Figures of resonances: what a structure answers, how a model of it was chosen, what it is, what it leaves.
+"""Figures of resonances: frequency responses, choice of the model, poles, residuals.
 
-Nothing is computed here that the result does not hold.
+All values come from the result.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ FLOOR_DB = 70.0
 CHI2_95 = 5.991
 """Quantile of chi-squared with two degrees of freedom: an ellipse of 95 %."""
 MAX_RELATIVE_FREQUENCY_STDERR = 0.05
-"""Standard error of a frequency, as a share of it, from which on nobody would call it a resonance that was found."""
+"""Relative standard error of a frequency above which a mode is not reported as a resonance."""
 MAX_DAMPING_RATIO = 0.3
-"""Damping from which on a mode is no resonance that anyone would see ringing."""
+"""Damping ratio above which a mode is not reported as a resonance."""
 
 
 def select_known_resonances(found: Modes | OperationalModes) -> list[Mode]:
-    """Return the modes that ring and whose frequency is known."""
+    """Return the lightly damped modes with known frequency."""
     return [m for m in found.modes if is_resonance(m)]
 
 
 def is_resonance(mode: Mode) -> bool:
-    """Tell whether a mode is lightly damped and its frequency known to a few percent."""
+    """Return whether a mode is lightly damped and its frequency known to a few percent."""
     return (
         mode.damping_ratio < MAX_DAMPING_RATIO
         and not mode.frequency_stderr > MAX_RELATIVE_FREQUENCY_STDERR * mode.frequency_hz
@@ -39,18 +39,18 @@ def is_resonance(mode: Mode) -> bool:
 
 
 def list_pairs(found: Modes) -> list[tuple[int, int]]:
-    """Return output and input of the responses that are drawn, by output; the strongest where there are too many."""
+    """Return output and input of the drawn responses, by output; the strongest if there are too many."""
     p, m = len(found.outputs), len(found.inputs)
     every = [(i, j) for i in range(p) for j in range(m)]
     if len(every) <= MAX_PAIRS:
         return every
     size = np.abs(found.response.value).max(axis=0)
-    size = size / size.max(axis=1, keepdims=True)  # outputs may have unlike units
+    size = size / size.max(axis=1, keepdims=True)  # outputs may have different units
     return sorted(sorted(every, key=lambda pair: -size[pair])[:MAX_PAIRS])
 
 
 def count_chart_columns(found: Modes) -> int:
-    """Return how many charts of pairs stand side by side."""
+    """Return the number of charts of pairs in a row."""
     return min(len(found.inputs), 3) if len(list_pairs(found)) == len(found.inputs) * len(found.outputs) else 3
 
 
@@ -64,7 +64,7 @@ def _frequencies(limits: tuple[float, float]) -> r.Axis:
 
 
 def build_bode_figure(found: Modes, i: int, j: int) -> r.Figure:
-    """Return magnitude over frequency: the data's own response as dots, the model's with its 95 % band over it."""
+    """Return magnitude over frequency: the response of the data as dots, that of the model as a line with its 95 % band."""
     f, g, sigma = found.response.frequency, np.abs(found.response.value[:, i, j]), found.response.deviation[:, i, j]
     seen = _select_excited(found)
     dots, at = np.abs(found.empirical.response[seen, i, j]), found.empirical.frequency[seen]
@@ -87,7 +87,7 @@ def build_phase_figure(found: Modes, i: int, j: int) -> r.Figure:
     f, seen = found.response.frequency, _select_excited(found)
     ends = _get_ends(f)
     phase = np.degrees(np.angle(found.response.value[:, i, j]))
-    phase[1:][np.abs(np.diff(phase)) > 180] = np.nan  # a wrap is no line
+    phase[1:][np.abs(np.diff(phase)) > 180] = np.nan  # no line across a wrap
     at, dots = found.empirical.frequency[seen], np.degrees(np.angle(found.empirical.response[seen, i, j]))
     keep = np.isfinite(dots) & (at >= ends[0]) & (at <= ends[1])
     marks = r.Dots(*_thin(at[keep], dots[keep]), "data"), r.Line(f, phase)
@@ -107,7 +107,7 @@ def build_test_figure(found: Modes, test: CorrelationTest) -> r.Figure:
     size = max(1.5 * test.band, float(np.abs(test.values[test.lags != 0]).max(initial=0.0)) * 1.15)
     name = f"{test.input} → {test.output}" if test.input else test.output
     limits = (float(test.lags[0]) - 0.8, float(test.lags[-1]) + 0.8)
-    drawn = test.lags != 0 if not test.input else np.ones(len(test.lags), bool)  # with itself it is 1 at lag 0
+    drawn = test.lags != 0 if not test.input else np.ones(len(test.lags), bool)  # an autocorrelation is 1 at lag 0
     lags, value, bound = test.lags[drawn], np.clip(test.values[drawn], -size, size), np.full(2, test.band)
     marks = (
         r.Ribbon(np.array(limits), -bound, bound),
@@ -120,7 +120,7 @@ def build_test_figure(found: Modes, test: CorrelationTest) -> r.Figure:
 
 
 def build_impulse_figure(found: Modes, i: int, j: int) -> r.Figure | None:
-    """Return the response to a unit pulse, measured and of the model; None where there is none."""
+    """Return the measured and the modelled response to a unit pulse, or `None` without impulse responses."""
     row = found.impulse
     if row is None:
         return None
@@ -133,7 +133,7 @@ def build_impulse_figure(found: Modes, i: int, j: int) -> r.Figure | None:
 
 
 def build_stabilisation_figure(found: Modes | OperationalModes) -> r.Figure:
-    """Return modes of all orders: filled where stable, rings where only the frequency agrees, small where new; 95 % bars."""
+    """Return modes of all orders: filled if stable, rings if only the frequency agrees, small if new; with 95 % bars."""
     if isinstance(found, OperationalModes):
         f = [q.frequency_hz for q in found.stabilisation]
         ends, top = (0.8 * min(f), min(1.25 * max(f), 0.5 / found.dt)), found.order + 1.5
@@ -169,7 +169,7 @@ def _build_stability_marks(points: Sequence[StabilityPoint], ends: tuple[float, 
 
 
 def _build_skyline(found: Modes, ends: tuple[float, float], top: float) -> list[r.Mark]:
-    """Return the data's own response, all pairs together, as a pale skyline behind the diagram."""
+    """Return the response of the data over all pairs as a pale curve in the background of the diagram."""
     seen = _select_excited(found)
     at, response = found.empirical.frequency[seen], found.empirical.response[seen]
     size = np.sqrt(np.mean(np.abs(response) ** 2, axis=2))
@@ -184,7 +184,7 @@ def _build_skyline(found: Modes, ends: tuple[float, float], top: float) -> list[
 
 
 def build_choice_figures(found: Modes) -> list[r.Figure]:
-    """Return how order and delay were chosen: fit on data that the models had not seen, criteria, the scan of delays."""
+    """Return the figures about the choice of order and delay: fit on held-out data, criteria, scan of delays."""
     trials, figures = found.order_choice.trials, []
     if len(trials) > 1:
         n, fit = np.array([float(t.order) for t in trials]), np.array([t.fit_percent for t in trials])
@@ -213,7 +213,7 @@ def build_choice_figures(found: Modes) -> list[r.Figure]:
 
 
 def build_pole_figure(found: Modes) -> r.Figure | None:
-    """Return poles and zeros in the s plane, each pole with its 95 % ellipse; None without any that oscillates."""
+    """Return poles and zeros in the s plane, each pole with its 95 % ellipse; None without oscillating poles."""
     known = [q for q in found.poles if q.oscillates]
     if not known:
         return None
@@ -253,7 +253,7 @@ def _build_mode_lines(found: Modes, ends: tuple[float, float]) -> list[r.Mark]:
 
 
 def _select_excited(found: Modes) -> np.ndarray:
-    """Return which frequencies of the data's own response are drawn: those that were excited."""
+    """Return the mask of drawn frequencies of the data's response: those that were excited."""
     return found.empirical.excited & np.isfinite(found.empirical.response).all(axis=(1, 2))
 
 
@@ -262,13 +262,13 @@ def _get_ends(f: np.ndarray) -> tuple[float, float]:
 
 
 def _to_decibels(x: np.ndarray) -> np.ndarray:
-    """Return sizes in decibels, minus infinity for zero."""
+    """Return magnitudes in decibels, minus infinity for zero."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return 20 * np.log10(x)
 
 
 def _within(x: np.ndarray, low: float, high: float) -> np.ndarray:
-    """Return values with those outside missing, so that a line leaves the chart instead of running along its edge."""
+    """Return values with nan outside the limits, so that a line leaves the chart instead of following its edge."""
     return np.where((x >= low) & (x <= high), x, np.nan)
 
 
@@ -282,7 +282,7 @@ def _choose_decibels(model: np.ndarray, dots: np.ndarray) -> tuple[float, float]
 
 
 def _thin(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return at most so many dots, even on a logarithmic axis."""
+    """Return at most `DOTS` points, spread evenly on a logarithmic axis."""
     if len(x) <= DOTS:
         return x, y
     grid = np.geomspace(x[0], x[-1], DOTS)

@@ -13,9 +13,9 @@ from tau_dyn.render.kinds.modes_figures import select_known_resonances
 GOOD_FIT, FAIR_FIT = 90.0, 70.0
 MAX_NAMED_MODES = 5
 """Modes that the headline names."""
-MAX_DECIMALS = 5  # of a frequency; more is below any clock's accuracy
+MAX_DECIMALS = 5  # of a frequency; more decimals would be below the accuracy of clocks
 BADGES = {"good": "Use it", "care": "Use with care", "poor": "Do not rely on it"}
-"""Verdicts in a word or three."""
+"""Verdicts in a few words."""
 
 
 def format_frequency(mode: Mode) -> str:
@@ -29,7 +29,7 @@ def format_damping(mode: Mode) -> str:
 
 
 def format_mode_interval(value: float, stderr: float) -> str:
-    """Return a 95 % interval; empty where it is not known."""
+    """Return a 95 % interval; empty if it is not known."""
     if not np.isfinite(stderr) or stderr <= 0:
         return ""
     digits = min(max(r.choose_decimals(stderr), 0), MAX_DECIMALS)
@@ -38,14 +38,14 @@ def format_mode_interval(value: float, stderr: float) -> str:
 
 
 def format_short_frequency(mode: Mode) -> str:
-    """Return a frequency to the digits that are sure, three at most beyond the point."""
+    """Return a frequency with its certain digits, at most three decimals."""
     if not np.isfinite(mode.frequency_stderr):
         return r.format_number(mode.frequency_hz, 3)
     return r.round_to_stderr(mode.frequency_hz, max(mode.frequency_stderr, 2e-3 * mode.frequency_hz))
 
 
 def describe_headline(found: Modes | OperationalModes) -> str:
-    """Return the one sentence above everything."""
+    """Return the headline."""
     ringing = select_known_resonances(found)
     if not ringing:
         what = "No resonance found"
@@ -62,14 +62,14 @@ def describe_headline(found: Modes | OperationalModes) -> str:
 
 
 def format_fit(fit: float) -> str:
-    """Return a fit as a person says it."""
+    """Return a fit as text."""
     if not np.isfinite(fit):
         return "no fit"
     return f"{fit:.1f} %".replace("-", "−")
 
 
 def describe_verdict(found: Modes | OperationalModes) -> r.Verdict:
-    """Return how far the model may be used."""
+    """Return the verdict on the use of the model."""
     if isinstance(found, OperationalModes):
         return _judge(
             "care", "Use frequencies, damping and shapes; the forces were not measured, so nothing has a scale."
@@ -106,7 +106,7 @@ _judge = partial(r.judge, badges=BADGES)
 
 
 def describe_inputs(found: Modes | OperationalModes) -> str:
-    """Return what went in."""
+    """Return a summary of the inputs."""
     if isinstance(found, OperationalModes):
         samples = r.format_thousands(found.n_samples)
         return (
@@ -124,7 +124,7 @@ def describe_inputs(found: Modes | OperationalModes) -> str:
 
 
 def describe_mechanical(found: Modes) -> str:
-    """Return what became of mass, damping and stiffness, in a sentence."""
+    """Return a sentence about the estimation of mass, damping and stiffness."""
     m = found.mechanical
     if m is None:
         return f"Mass, damping and stiffness are not identifiable: {found.mechanical_why}."
@@ -140,7 +140,7 @@ def describe_mechanical(found: Modes) -> str:
 
 
 def _plain(value: float, stderr: float) -> str:
-    """Return a value and its standard error, both with as many decimals as two digits of the error take."""
+    """Return a value and its standard error, with the decimals of two digits of the error."""
     if not np.isfinite(stderr) or stderr <= 0:
         return r.format_number(value, 4)
     digits = min(max(r.choose_decimals(stderr), 0), MAX_DECIMALS)
@@ -148,7 +148,7 @@ def _plain(value: float, stderr: float) -> str:
 
 
 def describe_tests(found: Modes) -> str:
-    """Return what the tests say, in a sentence or two."""
+    """Return the result of the tests in one or two sentences."""
     on = "held-out" if found.tested_on == "holdout" else "training"
     failed = [t for t in found.independence if not t.passed]
     n = len(found.independence)
@@ -168,7 +168,7 @@ def describe_tests(found: Modes) -> str:
 
 
 def tabulate_modes(found: Modes | OperationalModes) -> list[dict[str, float]]:
-    """Return one row a resonance, slowest first."""
+    """Return one row per resonance, lowest frequency first."""
     rows = []
     for m in found.modes:
         row = {n: getattr(m, n) for n in ("frequency_hz", "frequency_stderr", "damping_ratio", "damping_stderr")}
@@ -180,7 +180,7 @@ def tabulate_modes(found: Modes | OperationalModes) -> list[dict[str, float]]:
 
 
 def format_entry(values: np.ndarray, spread: np.ndarray | None, i: int, j: int) -> str:
-    """Return an entry of a matrix with its standard error, where that is known."""
+    """Return an entry of a matrix with its standard error, if that is known."""
     value, sigma = float(values[i, j]), 0.0 if spread is None else float(spread[i, j])
     if not np.isfinite(sigma) or sigma <= 0:
         return r.format_number(value, 4)

@@ -1,4 +1,4 @@
-"""A payload, a fleet of units, and what changed on a watched robot."""
+"""A payload, a fleet of units, and changes of a monitored robot."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tau_dyn.render.presentation import flatten_rows, present_kind, warn
 
 @present_kind.register
 def present_payload(found: PayloadEstimate) -> r.Presentation:
-    """Return how a payload is presented."""
+    """Return the presentation of a payload."""
     mass, limit = found.mass, r.format_number(found.largest_mass, 2)
     if found.differs:
         said = r.format_with_uncertainty(float(mass.values[0]), float(mass.stderr[0]))
@@ -103,7 +103,7 @@ def _list_friction(found: PayloadEstimate) -> Iterator[r.Element]:
 
 @present_kind.register
 def present_watch(found: WatchResult) -> r.Presentation:
-    """Return how a watched robot is presented."""
+    """Return the presentation of a monitored robot."""
     hours = r.format_number(1 / found.rate, 2)
     if found.changes:
         headline = f"{_describe_change(found, 0)}."
@@ -179,7 +179,7 @@ def _draw_trace(found: WatchResult) -> Iterator[r.Element]:
 
 @present_kind.register
 def present_fleet(found: Fleet) -> r.Presentation:
-    """Return how a fleet is presented."""
+    """Return the presentation of a fleet."""
     robot = found.model.robot
     shown = [p for p in found.parameters if p.spread_ci95[0] > 0]
     told = r.count(len(found.parameters), "parameter")

@@ -1,4 +1,4 @@
-"""A simulated log with the truth behind it, and an exciting motion against the robot's limits."""
+"""A simulated log with its true parameters, and an exciting motion with the robot's limits."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ PHASE_POINTS = 1500  # points of a phase plot at most
 
 @dataclass(frozen=True, eq=False)
 class SimulatedLog(r.Shown):
-    """A log that `simulate` made, and what it was made of.
+    """A log of `simulate`, and the model behind it.
 
     Attributes:
         log: The log.
         model: The simulated robot, whose values are the truth.
-        sensors: Its sensors; None for perfect ones.
-        made: What else its provenance says, such as `motion` and `seed`.
+        sensors: Its sensors; None for ideal ones.
+        made: Other entries of its provenance, such as `motion` and `seed`.
     """
 
     log: Log
@@ -43,14 +43,14 @@ class SimulatedLog(r.Shown):
 
 @dataclass(frozen=True, eq=False)
 class ExcitingMotion(r.Shown):
-    """A motion that informs, and how well.
+    """An exciting motion with its predicted accuracy.
 
     Attributes:
         motion: The motion.
-        model: Robot and what shall be identified.
+        model: Robot and parameters to be identified.
         condition: `compute_base_condition` of both.
-        prediction: The standard errors that it will give; None for none.
-        made: What else its provenance says, such as `trials` and `seed`.
+        prediction: The predicted standard errors, or None.
+        made: Other entries of its provenance, such as `trials` and `seed`.
     """
 
     motion: Trajectory
@@ -62,7 +62,7 @@ class ExcitingMotion(r.Shown):
 
 @present_kind.register
 def present_simulation(found: SimulatedLog) -> r.Presentation:
-    """Return how a simulated log is presented."""
+    """Return the presentation of a simulated log."""
     log, robot = found.log, found.model.robot
     rows = [_follow(log, robot, k) for k in range(robot.na)]
     sections = [
@@ -114,7 +114,7 @@ def _build_followed(rows: list[dict[str, Any]]) -> r.ResultTable:
 
 
 def _follow(log: Log, robot: Robot, k: int) -> dict[str, Any]:
-    """Return how a joint follows its reference and what force it takes."""
+    """Return the tracking error of a joint and its force."""
     joint, limit, unit = robot.actuated[k], float(robot.effort_limit[k]), robot.position_units[k]
     q, tau, reference = (log.channels.get(f"{s}_{joint}") for s in ("q", "tau", "q_ref"))
     travel, behind, force, bar = "–", ["–", "–"], ["–", "–", "–"], None
@@ -135,7 +135,7 @@ def _follow(log: Log, robot: Robot, k: int) -> dict[str, Any]:
 
 
 def _build_truth(found: SimulatedLog) -> Iterator[r.Element]:
-    """Give the true values that are not zero, the sensors, and the forces beyond the rigid body."""
+    """Yield the nonzero true values, the sensors, and the forces in addition to the rigid body."""
     model, robot = found.model, found.model.robot
     rows = [
         r.Row([p.name, r.format_number(p.value, 5), r.format_unit(p.unit)]) for p in model.parameters if p.value != 0.0
@@ -157,7 +157,7 @@ def _build_truth(found: SimulatedLog) -> Iterator[r.Element]:
 
 @present_kind.register
 def present_excitation(found: ExcitingMotion) -> r.Presentation:
-    """Return how an exciting motion is presented."""
+    """Return the presentation of an exciting motion."""
     motion, model, condition = found.motion, found.model, found.condition
     robot, free = model.robot, int(np.sum(model.parameters.free))
     level: r.Level = "good" if condition < WELL else "care" if condition < FAIR else "poor"
@@ -181,12 +181,12 @@ def present_excitation(found: ExcitingMotion) -> r.Presentation:
 
 
 def _compute_error_percent(row: Mapping[str, Any]) -> float:
-    """Return a predicted standard error in percent of its value; of a value of zero, zero."""
+    """Return a predicted standard error in percent of its value; zero for a value of zero."""
     return 100 * row["stderr"] / abs(row["value"]) if row["value"] else 0.0
 
 
 def _describe_largest_error(found: ExcitingMotion) -> str:
-    """Return what the predicted errors come to, as a clause; empty where none is predicted of a value."""
+    """Return the largest predicted error as a clause; empty without predictions of values."""
     rows = [] if found.prediction is None else found.prediction.rows()
     worst = max(rows, key=_compute_error_percent, default=None)
     if worst is None or not worst["value"]:
@@ -195,7 +195,7 @@ def _describe_largest_error(found: ExcitingMotion) -> str:
 
 
 def _tabulate(motion: Trajectory, robot: Robot) -> dict[str, np.ndarray]:
-    """Return one row a sample: time [s], positions, velocities, accelerations."""
+    """Return one row per sample: time [s], positions, velocities, accelerations."""
     joints = list(enumerate(robot.actuated))
     return {"t": motion.t} | {f"{s}_{j}": getattr(motion, s)[:, k] for s in "qva" for k, j in joints}
 
@@ -230,7 +230,7 @@ def _build_joint(motion: Trajectory, robot: Robot, k: int) -> r.Row:
 
 
 def _build_prediction(found: ExcitingMotion) -> Iterator[r.Element]:
-    """Give name, value, error and unit of each base parameter, and the error as a share of the value."""
+    """Yield name, value, error and unit of each base parameter, and its relative error."""
     prediction = found.prediction
 
     def share(row: Mapping[str, Any]) -> str:
@@ -269,7 +269,7 @@ def _build_phases(motion: Trajectory, robot: Robot) -> Iterator[r.Element]:
 
 
 def _draw_phase(motion: Trajectory, robot: Robot, k: int) -> r.Figure:
-    """Return one joint's speed over its position: what the motion visits of what it may."""
+    """Return one joint's speed over its position, with their limits."""
     unit, fastest = robot.position_units[k], float(robot.velocity_limit[k])
     low, high = float(robot.lower[k]), float(robot.upper[k])
     step = max(1, motion.n_samples // PHASE_POINTS)
@@ -282,7 +282,7 @@ def _draw_phase(motion: Trajectory, robot: Robot, k: int) -> r.Figure:
 
 
 def _share(value: float, limit: float) -> r.Bar | None:
-    """Return how much of a limit is used; None where there is none."""
+    """Return the used share of a limit, or `None` without a limit."""
     return r.Bar(min(value / limit, 1.0)) if np.isfinite(limit) and limit > 0 else None
 
 
@@ -316,7 +316,7 @@ def _motion_view(motion: Trajectory, robot: Robot, k: int) -> r.View:
 
 
 def _list_sensors(sensors: Sensors) -> list[tuple[str, str]]:
-    """Return each sensor setting that is not perfect."""
+    """Return each sensor setting that is not ideal."""
     shown = [(f.name.replace("_", " "), getattr(sensors, f.name)) for f in fields(sensors) if f.name != "tool"]
     rows = [(name, r.format_list([r.format_number(float(x), 4) for x in np.atleast_1d(value)])) for name, value in shown
             if value is not None and np.size(value) and np.any(np.asarray(value) != 0)]  # fmt: skip

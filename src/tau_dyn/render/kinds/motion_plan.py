@@ -1,4 +1,4 @@
-"""A planned motion: forces against their limits over time, the tool's way in space, its speed."""
+"""A planned motion: forces and their limits over time, the tool's path in space, its speed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _PLANES = ((0, 1), (0, 2), (1, 2))
 
 @present_kind.register
 def present_motion_plan(plan: MotionPlan) -> r.Presentation:
-    """Return how a planned motion is presented."""
+    """Return the presentation of a planned motion."""
     robot = plan.model.robot
     sections = [
         r.Chapter("forces", "Forces and their limits", lambda: _build_forces(plan), r.On.DRAWN),
@@ -47,7 +47,7 @@ def _build_forces(plan: MotionPlan) -> Iterator[r.Element]:
 
 
 def _draw_force(plan: MotionPlan, k: int) -> r.Figure:
-    """Return a joint's force between its limits over time, as Figure 3.10 of the thesis draws it."""
+    """Return a joint's force between its limits over time, as in Figure 3.10 of the thesis."""
     step, limit, tau = max(1, len(plan.t) // _POINTS), float(plan.limits.force[k]), plan.tau[:, k]
     edges = np.array([-limit, limit]) if np.isfinite(limit) else np.zeros(0)
     end = float(plan.t[-1])
@@ -119,7 +119,7 @@ def _build_way(plan: MotionPlan) -> Iterator[r.Element]:
 
 
 def _draw_way(plan: MotionPlan, i: int, j: int) -> r.Figure:
-    """Return the tool's way seen along an axis, the straight line dashed; both axes to one scale."""
+    """Return the projection of the tool's path along an axis, with the straight line dashed; both axes at the same scale."""
     assert plan.tool is not None
     step = max(1, len(plan.t) // _POINTS)
     place = plan.tool[::step] if (len(plan.tool) - 1) % step == 0 else np.vstack([plan.tool[::step], plan.tool[-1:]])
@@ -132,7 +132,7 @@ def _draw_way(plan: MotionPlan, i: int, j: int) -> r.Figure:
 
 
 def _square(x: np.ndarray, y: np.ndarray) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return limits of a drawing of 288 by 246 points in which a metre is as long either way."""
+    """Return limits of a drawing of 288 by 246 points with the same scale on both axes."""
     (x0, x1), (y0, y1) = r.pad_limits(x), r.pad_limits(y)
     scale = max((x1 - x0) / 288, (y1 - y0) / 246, 1e-6)
     (xm, ym), (w, h) = ((x0 + x1) / 2, (y0 + y1) / 2), (144 * scale, 123 * scale)
@@ -161,7 +161,7 @@ def _build_view(plan: MotionPlan, k: int) -> r.View:
 
 
 def describe_headline(plan: MotionPlan) -> str:
-    """Return duration and what was minimised in a sentence."""
+    """Return a sentence with the duration and the minimised cost."""
     aim = "the shortest time" if plan.energy_weight == 0 else f"least effort at weight {plan.energy_weight:.3g}"
     return f"{plan.duration:.4f} s, {aim} {_WAYS[plan.path]}."
 
@@ -170,7 +170,7 @@ _WAYS = {"free": "on a path of its own choice", "line": "on a straight line", "p
 
 
 def describe_verdict(plan: MotionPlan) -> r.Verdict:
-    """Return what holds the motion back."""
+    """Return the verdict, with the limits that determine the duration."""
     if not plan.binding:
         return r.Verdict("good", "It reaches no limit: the effort holds it back.", "Within limits")
     reached = [f"{b.quantity} of {b.joint} ({r.format_percent(100 * b.share)} of the time)" for b in plan.binding]
@@ -179,7 +179,7 @@ def describe_verdict(plan: MotionPlan) -> r.Verdict:
 
 
 def describe_path(plan: MotionPlan) -> str:
-    """Return from where to where, and for what robot."""
+    """Return a sentence with start, end and robot."""
     ends = plan.q[[0, -1]] if plan.tool is None else plan.tool[[0, -1]]
     unit = " m" if plan.tool is not None else ""
     start, end = (f"({', '.join(r.format_number(round(float(x), 6) + 0.0) for x in row)}){unit}" for row in ends)
@@ -188,6 +188,6 @@ def describe_path(plan: MotionPlan) -> str:
 
 
 def format_squares_unit(plan: MotionPlan) -> str:
-    """Return the unit of squared forces: of carts, of rotary joints, or of both."""
+    """Return the unit of squared forces: of prismatic joints, of revolute joints, or of both."""
     units = set(plan.model.robot.force_units)
     return {frozenset({"N"}): "N²", frozenset({"N m"}): "(N m)²"}.get(frozenset(units), "(N², (N m)²)")

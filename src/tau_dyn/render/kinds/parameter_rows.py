@@ -1,4 +1,4 @@
-"""The parameter table as a person reads it, of an identification and of a diagnosis' extended model: one line a parameter."""
+"""The parameter table of an identification and of a diagnosis' extended model: one row per parameter."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ class ParameterRow:
 
     Attributes:
         name: Contract name.
-        group: Heading it stands under.
+        group: Heading of its group.
         state: `known` to 30 %, `weak`, `unseen` by itself, or `fold` of several unseen ones.
-        estimate: Value ± standard error; the nominal value where it is unseen.
+        estimate: Value ± standard error; the nominal value if it is unseen.
         interval: 95 % interval.
         unit: Its unit.
-        nominal: Nominal value, empty where there is no trusted one.
-        note: What a reader must know, empty where all is well.
-        bar: Picture of the interval; None where there is nothing to draw.
-        true: The true value of a simulation, empty where it is not known.
-        distance: Estimate minus true value in standard errors.
-        before: What the model without the causes says, where there is one to compare with.
+        nominal: Nominal value; empty if there is no trusted one.
+        note: Remark for the reader, or ''.
+        bar: Picture of the interval; None without an interval.
+        true: The true value of a simulation; empty if it is not known.
+        distance: Absolute error in standard errors.
+        before: Value in the model without the causes, if there is one for comparison.
     """
 
     name: str
@@ -53,7 +53,7 @@ class ParameterRow:
 
 
 def build_parameter_rows(found: Identification, truth: Mapping[str, float] | None = None) -> list[ParameterRow]:
-    """Return the table's lines: the rigid body's, then each joint's in the robot's order."""
+    """Return the table's rows: those of the rigid body, then those of each joint in the robot's order."""
     raw = found.rows()
     scale = compute_bar_scale(raw)
     rows = [describe_row(entry, scale, name_group(found.model, entry["name"]), _note(found, entry)) for entry in raw]
@@ -65,7 +65,7 @@ def build_parameter_rows(found: Identification, truth: Mapping[str, float] | Non
 
 
 def group_rows(rows: Sequence[ParameterRow]) -> list[tuple[str, list[ParameterRow]]]:
-    """Return the lines by heading, headings in the order of their first lines."""
+    """Return the rows by heading, headings in the order of their first rows."""
     found: dict[str, list[ParameterRow]] = {}
     for row in rows:
         found.setdefault(row.group, []).append(row)
@@ -75,16 +75,16 @@ def group_rows(rows: Sequence[ParameterRow]) -> list[tuple[str, list[ParameterRo
 def build_parameter_table(
     rows: Sequence[ParameterRow], scale: str, *, truth: bool = False, before: bool = False, on: r.On = r.On.PAGE
 ) -> list[r.Element]:
-    """Return the table and how to read it.
+    """Return the table and its legend.
 
-    A terminal shows only what the data tell alone: of the others no value is an estimate, and a page lists them by link.
+    A terminal shows only parameters that are identifiable alone; the others have no estimate, and a page lists them by link.
 
     Args:
-        rows: Its lines.
-        scale: What the ends of a bar stand for.
+        rows: Its rows.
+        scale: Meaning of the ends of a bar.
         truth: Whether the true values are known.
-        before: Whether the values of the model without the causes stand beside those of the extended model.
-        on: Where the table stands.
+        before: Whether the values of the model without the causes are shown next to those of the extended model.
+        on: Output in which the table is shown.
     """
     page, both = r.On.PAGE, r.On.DRAWN
     rows = _fold_unseen(rows)
@@ -111,7 +111,7 @@ def build_parameter_table(
 
 
 def _fold_unseen(rows: Sequence[ParameterRow]) -> list[ParameterRow]:
-    """Return the lines with three or more of one link that the data do not tell alone, for the same reason, in one line."""
+    """Return the rows; three or more of one link that are not identifiable alone for the same reason are joined to one row."""
     reasons: dict[tuple[str, str], list[ParameterRow]] = {}
     for row in rows:
         if row.state == "unseen":
@@ -140,7 +140,7 @@ def _fold_unseen(rows: Sequence[ParameterRow]) -> list[ParameterRow]:
 
 
 def _find_reason(row: ParameterRow) -> tuple[str, str]:
-    """Return a parameter's link or joint, and why the data do not tell it, without the names of its companions."""
+    """Return a parameter's link or joint, and why it is not identifiable, without the names of other parameters."""
     return row.name.rsplit(".", 1)[0], row.note.split(" with ")[0]
 
 
@@ -158,7 +158,7 @@ def _build_row(entry: ParameterRow, truth: bool, before: bool) -> r.Row:
 
 
 def compute_bar_scale(rows: list[dict[str, Any]]) -> float:
-    """Return the bars' common half-width as a share of the reference value, wide enough for what is determined."""
+    """Return the bars' common half-width relative to the reference value, large enough for determined parameters."""
     extents = [0.05]
     for entry in rows:
         reference = entry["nominal"] or entry["value"]
@@ -173,9 +173,9 @@ def _round_up(x: float) -> float:
 
 
 def describe_row(entry: dict[str, Any], scale: float, group: str, note: str) -> ParameterRow:
-    """Return a parameter of the contract's form in words."""
+    """Return a parameter in the form of the contract as text."""
     seen, sigma = entry["stderr"] is not None, entry["stderr"]
-    held = entry.get("split_value", entry["value"])  # what the model file holds
+    held = entry.get("split_value", entry["value"])  # the value in the model file
     return ParameterRow(
         name=entry["name"],
         group=group,
@@ -196,13 +196,13 @@ def _compared(row: ParameterRow, entry: dict[str, Any], true: float) -> Paramete
 
 
 def name_group(model: Model, name: str) -> str:
-    """Return the heading that a parameter stands under: its joint, or the rigid body."""
+    """Return the heading of a parameter: its joint, or the rigid body."""
     owner = name.rsplit(".", 1)[0]
     return _RIGID_BODY if name in model.robot.parameters and owner not in model.robot.actuated else owner
 
 
 def _sort_groups(model: Model, rows: Sequence[ParameterRow]) -> list[ParameterRow]:
-    """Return the lines with headings in the robot's order, those of effects on several joints last."""
+    """Return the rows with headings in the robot's order, those of effects on several joints last."""
     place = {name: k for k, name in enumerate((_RIGID_BODY, *model.robot.actuated))}
     return sorted(rows, key=lambda row: place.get(row.group, len(place)))
 
@@ -217,7 +217,7 @@ def _note(found: Identification, entry: dict[str, Any]) -> str:
 
 
 def explain_unreliable(entry: dict[str, Any]) -> str:
-    """Return why an estimate is not reliable; empty where it is."""
+    """Return the reason why an estimate is not reliable; empty if it is reliable."""
     if entry["at_bound"]:
         return "at its bound"
     if entry["determined"]:
@@ -235,7 +235,7 @@ def _unseen(entry: dict[str, Any]) -> str:
 
 
 def compare_with_nominal(entry: dict[str, Any]) -> str:
-    """Return how far an estimate is off its nominal value, where that is beyond both uncertainties."""
+    """Return the deviation of an estimate from its nominal value, if it exceeds both uncertainties."""
     nominal, trust = entry["nominal"], entry["nominal_stderr"]
     if not nominal:
         return ""
@@ -259,11 +259,11 @@ def _bar(entry: dict[str, Any], scale: float) -> r.IntervalBar | None:
 
 
 def build_extended_rows(model: Model, before: Parameters) -> tuple[list[ParameterRow], float]:
-    """Return the lines for a model beside one without its causes, and the bars' half-width as a share of the reference."""
+    """Return the rows of a model and of the same model without its causes, and the bars' half-width relative to the reference."""
     robot = model.robot
     nominal = load_robot_from_urdf(
         robot.urdf, robot.source, actuated=robot.actuated
-    ).parameters  # of the file it carries
+    ).parameters  # of the file that it carries
     raw = [_raw(p, nominal) for p in model.parameters if p.free]
     scale = compute_bar_scale(raw)
     rows = [

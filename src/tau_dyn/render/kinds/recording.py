@@ -1,4 +1,4 @@
-"""A log, and the check of one: whether it is usable, its problems and their fixes, and the log itself."""
+"""A log and its check: whether it is usable, problems and fixes, and the log itself."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tau_dyn.render.time_view import decimate_min_max
 from tau_dyn.robot import Robot
 
 MAX_STEP_RATIO = 5.0
-"""Steps longer than so many usual ones stand in the histogram's last bar."""
+"""Ratio to the usual step above which steps are counted in the histogram's last bar."""
 STEP_DOTS = 1500  # time steps drawn at most, half of them the worst
 _MAX_TRACES = 4  # channels that a notebook draws
 _MAX_VIEWS = 12  # channels of a log without joints that a page draws
@@ -25,7 +25,7 @@ _ORDER = ("fault", "warning", "ok")
 
 @present_kind.register
 def present_log(log: Log, *, robot: Robot | None = None) -> r.Presentation:
-    """Return how a log is presented, without a judgement of it.
+    """Return the presentation of a log, without a verdict.
 
     Args:
         log: The log.
@@ -52,12 +52,12 @@ def present_log(log: Log, *, robot: Robot | None = None) -> r.Presentation:
 
 @present_kind.register
 def present_check(checked: LogCheck, *, log: Log | None = None, robot: Robot | None = None) -> r.Presentation:
-    """Return how the check of a log is presented.
+    """Return the presentation of the check of a log.
 
     Args:
-        checked: What `check_log` says of it.
+        checked: The result of `check_log`.
         log: The log as read; without it only the findings are shown.
-        robot: The robot it was checked against; gives units and the picture.
+        robot: The robot of the check; gives units and the picture.
     """
     bad = [f for f in order_worst_first(checked) if f.severity != "ok"]
     level = _LEVELS[bad[0].severity] if bad else "good"
@@ -119,7 +119,7 @@ def _draw_trace(log: Log, name: str) -> r.Figure:
 
 
 def _build_findings(checked: LogCheck) -> r.ResultTable:
-    """Return what was found, worst first; of what is fine, a terminal shows each topic once."""
+    """Return the findings, worst first; a terminal shows each topic without a fault once."""
     fine = Counter(f.topic for f in checked.findings if f.severity == "ok")
     columns = [r.Column(), r.Column("topic", style="quiet"), r.Column("problem"), r.Column("fix", on=r.On.DRAWN)]
     rows, seen = [], set()
@@ -165,7 +165,7 @@ def _list_signals(log: Log, joints: Sequence[str], robot: Robot | None) -> list[
 
 
 def _list_other_views(log: Log) -> list[r.View]:
-    """Return the channels of a log without joints, one view each."""
+    """Return one view for each channel of a log without joints."""
     names = list(log.channels)[:_MAX_VIEWS]
     t, channels, there = resample_evenly(log, names)
     usable = None if there.all() else there
@@ -179,7 +179,7 @@ def _list_other_views(log: Log) -> list[r.View]:
 
 
 def _list_units(joints: list[str], robot: Robot | None) -> dict[str, tuple[str, str]]:
-    """Return the units of position and force by joint; open ones where no robot tells them."""
+    """Return the units of position and force by joint; generic ones without a robot."""
     units = [] if robot is None else zip(robot.position_units, robot.force_units, strict=True)
     known = dict(zip(() if robot is None else robot.actuated, units, strict=True))
     return {j: known.get(j, ("m or rad", "N or N m")) for j in joints}
@@ -280,7 +280,7 @@ def _describe_clock(log: Log) -> str:
 
 
 def resample_evenly(log: Log, names: Sequence[str]) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
-    """Return an even grid (n,), channels on it, NaN in gaps, and where there are samples (n,); an even log as it is."""
+    """Return a uniform grid (n,), channels on it with NaN in gaps, and the mask of samples (n,); a uniform log is unchanged."""
     clock = examine_clock(log)
     if clock.even:
         return log.t, {n: log.channels[n] for n in names}, np.ones(log.n_samples, bool)
@@ -293,12 +293,12 @@ def resample_evenly(log: Log, names: Sequence[str]) -> tuple[np.ndarray, dict[st
 
 
 def _capital(finding: CheckFinding, name: str) -> str:
-    """Return a finding's sentence with a capital in front, where it begins with a word and not a channel's name."""
+    """Return a finding's sentence with an initial capital, unless it begins with a channel's name."""
     return r.capitalise(describe_check(finding, name))
 
 
 def _join_alike(findings: Sequence[CheckFinding], name: str) -> list[tuple[str, list[str]]]:
-    """Return sentences by topic, channels without a fault named together."""
+    """Return sentences by topic; channels without a fault are listed together."""
     topics: dict[str, list[str]] = {}
     for f in findings:
         topics.setdefault(f.topic, []).append(_capital(f, name))
@@ -312,17 +312,17 @@ def _join_alike(findings: Sequence[CheckFinding], name: str) -> list[tuple[str, 
 
 
 def order_worst_first(checked: LogCheck) -> list[CheckFinding]:
-    """Return all findings, faults before warnings before what is fine."""
+    """Return all findings: faults, then warnings, then topics without a fault."""
     return sorted(checked.findings, key=lambda f: _ORDER.index(f.severity))
 
 
 def describe_check(finding: CheckFinding, name: str) -> str:
-    """Return a finding's sentence without the log's name in front."""
+    """Return a finding's sentence without the log's name."""
     return finding.sentence.removeprefix(f"{name}: ")
 
 
 def describe_headline(checked: LogCheck) -> str:
-    """Return whether a log may be used, in a sentence."""
+    """Return a sentence about whether a log is usable."""
     faults = sum(f.severity == "fault" for f in checked.findings)
     doubts = sum(f.severity == "warning" for f in checked.findings)
     if not checked.fit_for_use:

@@ -16,7 +16,7 @@ from tau_dyn.robot import Robot
 
 @present_kind.register
 def present_robot(robot: Robot) -> r.Presentation:
-    """Return how a robot is presented."""
+    """Return the presentation of a robot."""
     loops = f", {r.count(len(robot.loops), 'closed loop')}" if robot.loops else ""
     sections = [
         *warn(robot.warnings),
@@ -39,7 +39,7 @@ def present_robot(robot: Robot) -> r.Presentation:
 
 
 def _tabulate_joints(robot: Robot) -> list[dict[str, Any]]:
-    """Return one row an actuated joint, with its limits."""
+    """Return one row per actuated joint, with its limits."""
     names = ("joint", "kind", "position_unit", "lower", "upper", "velocity_limit", "effort_limit", "force_unit")
     rows = zip(
         robot.actuated, robot.joint_kinds, robot.position_units, robot.lower, robot.upper, robot.velocity_limit,
@@ -80,7 +80,7 @@ def _format_bound(x: float, unit: str) -> str:
 
 @present_kind.register
 def present_model(model: Model) -> r.Presentation:
-    """Return how a model is presented: its parameters, and the forces beyond the rigid body."""
+    """Return the presentation of a model: its parameters, and the forces in addition to the rigid body."""
     robot, equations = model.robot, list(dict.fromkeys(f"{e.name}: {e.equation}" for e in model.effects))
     beyond = r.Chapter("effects", "Forces beyond the rigid body", lambda: [r.Listing(equations, style="code")])
     sections = [
@@ -100,7 +100,7 @@ def present_model(model: Model) -> r.Presentation:
 
 @present_kind.register
 def present_parameters(parameters: Parameters) -> r.Presentation:
-    """Return how parameters are presented."""
+    """Return the presentation of parameters."""
     sections = [r.Chapter("parameters", "Parameters", lambda: [_build_table(parameters, r.On.ALL)], r.On.ALL)]
     return r.Presentation(
         "Parameters",
@@ -117,7 +117,7 @@ def _count(parameters: Parameters) -> str:
 
 
 def _tabulate(parameters: Parameters) -> Any:
-    """Return one row a parameter."""
+    """Return one row per parameter."""
     import pandas as pd
 
     keys = ("name", "value", "unit", "stderr", "lower", "upper", "free", "origin")
@@ -126,7 +126,7 @@ def _tabulate(parameters: Parameters) -> Any:
 
 
 def _build_table(parameters: Parameters, on: r.On) -> r.ResultTable:
-    """Return one row a parameter; intervals only where there are some."""
+    """Return one row per parameter, with intervals only if there are any."""
     estimated = any(p.stderr for p in parameters)
     between = r.Column("95 % interval", "number", spare=True, cell=r.format_estimate_interval)
     return r.tabulate_things(

@@ -11,13 +11,13 @@ from tau_dyn.render.presentation import BADGES, ZOOM, flatten_rows, list_logs_us
 from tau_dyn.servo import LoopIdentification, LoopParameter
 
 GOOD_SHARE, POOR_SHARE = 0.3, 0.9
-"""Held-out error over the command's own error below which a simulation is ready to use, and above which it adds nothing."""
-_MAX_VIEWS = 60  # stretches of time that a page holds
+"""Ratio of held-out error to the command's own error below which a simulation is usable, and above which it is no improvement."""
+_MAX_VIEWS = 60  # time intervals on a page
 
 
 @present_kind.register
 def present_loop_identification(found: LoopIdentification) -> r.Presentation:
-    """Return how an identification through the closed loop is presented."""
+    """Return the presentation of an identification in closed loop."""
     robot = found.model.robot
     sections = [
         r.Chapter("errors", "", lambda: _build_glance(found), r.On.PRINTED),

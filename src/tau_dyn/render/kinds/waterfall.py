@@ -1,9 +1,9 @@
-"""The headline picture: what each step from the nominal robot to the noise floor leaves unexplained.
+"""The waterfall: the residual after each step from the nominal robot to the noise floor.
 
-Errors are shown in percent of what was measured, so that joints of different size and unit compare. The interval over all
-outputs joins those of the outputs as if they were independent: with `S = sum_k n_k rms_k^2`, the upper end of S is
-`S + sqrt(sum_k n_k^2 (u_k^2 - rms_k^2)^2)` for the outputs' upper ends `u_k`, the lower end likewise (the method of
-variance estimates recovery: Zou & Donner 2008).
+Errors are in percent of the measured output, so that joints of different size and unit can be compared. The interval over all
+outputs combines those of the outputs as if they were independent: with `S = sum_k n_k rms_k^2`, the upper end of S is
+`S + sqrt(sum_k n_k^2 (u_k^2 - rms_k^2)^2)` for the outputs' upper ends `u_k`; the lower end is computed in the same way (method
+of variance estimates recovery: Zou & Donner 2008).
 """
 
 from __future__ import annotations
@@ -19,25 +19,25 @@ from tau_dyn.evidence import Diagnosis, Finding, OutputErrors
 from tau_dyn.parameters import Parameter
 
 TEST_PART = 2
-"""Which part of a trace the errors are of."""
+"""Part of a trace on which the errors are measured."""
 CUT = 2.5
-"""How many times the longest other bar the first may be before it is cut."""
+"""Ratio of the first bar to the longest other bar above which the first is cut."""
 
 
 @dataclass(frozen=True)
 class WaterfallStep:
-    """One step: what it is called and what it leaves, in percent of the measured output.
+    """One step: its name and its residual, in percent of the measured output.
 
     Attributes:
         label: Its name.
-        about: What it adds, in pieces that may be left out from the end.
+        about: Its additions, as phrases of which the last ones may be omitted.
         kind: `start`, `cause` or `floor`.
-        finding: Number of its finding, from 1; 0 for none.
+        finding: Number of its finding, from 1; 0 without a finding.
         joints: The joints of its finding.
-        left: What it leaves [%]; NaN where nothing tells how large the output is.
+        left: Residual [%]; NaN if the size of the output is unknown.
         low: Lower end of the 95 % interval [%].
         high: Upper end [%].
-        previous: What the step before leaves [%]; NaN for the first and for the noise floor.
+        previous: Residual of the step before [%]; NaN for the first and for the noise floor.
         rms: The residual's rms with its unit; empty over several outputs.
     """
 
@@ -55,7 +55,7 @@ class WaterfallStep:
 
 @dataclass(frozen=True)
 class WaterfallSeries:
-    """All steps for one output, or for all together.
+    """All steps for one output, or for all outputs.
 
     Attributes:
         output: The output's name; empty for all.
@@ -78,14 +78,14 @@ class WaterfallSeries:
 
 @dataclass(frozen=True, eq=False)
 class OutputScale:
-    """How large the outputs are where the errors were judged: rms (m,) and number of samples (m,); NaN where unknown."""
+    """Size of the outputs on the test data: rms (m,) and number of samples (m,); NaN if unknown."""
 
     rms: np.ndarray
     count: np.ndarray
 
     @classmethod
     def of(cls, diagnosis: Diagnosis) -> OutputScale:
-        """Measure the outputs on the samples that were used for nothing but the gain."""
+        """Return the size of the outputs on the test data."""
         squares, count = np.zeros((2, len(diagnosis.outputs)))
         for trace in diagnosis.traces:
             judged = trace.usable & (trace.part == TEST_PART)[:, None]
@@ -124,7 +124,7 @@ def build_total_series(diagnosis: Diagnosis) -> WaterfallSeries:
 
 
 def build_output_series(diagnosis: Diagnosis) -> list[WaterfallSeries]:
-    """Return the steps of each output, all on one axis; nothing for a single output."""
+    """Return the steps of each output, all on one axis; an empty list for a single output."""
     yardstick, outputs = OutputScale.of(diagnosis), diagnosis.outputs
     known = [k for k in range(len(outputs)) if np.isfinite(yardstick.rms[k])]
     if len(outputs) < 2 or not known:
@@ -149,7 +149,7 @@ def _rungs(diagnosis: Diagnosis, share, k: int | None) -> tuple[WaterfallStep, .
 
 
 def _end(rungs: tuple[WaterfallStep, ...]) -> float:
-    """Return where the axis ends: at the longest bar, or well before it where it dwarfs all others."""
+    """Return the end of the axis: at the longest bar, or before the end of a first bar that is much longer than the others."""
     ends = [row.high for row in rungs if np.isfinite(row.high)]
     others = max(ends[1:], default=0.0)
     first = ends[0] if ends else 1.0
@@ -157,7 +157,7 @@ def _end(rungs: tuple[WaterfallStep, ...]) -> float:
 
 
 def find_step_finding(step: str, findings: tuple[Finding, ...]) -> Finding | None:
-    """Return the finding that a step's name stands for: its cause, then its joints; None where several could be meant."""
+    """Return the finding of a step, whose name is a cause followed by joints; None if the name is ambiguous."""
     cause, *joints = re.split(r"[\s,:()+]+", step.strip(" +)")) or [""]
     alike = [f for f in findings if f.cause == cause]
     exact = [f for f in alike if set(f.joints) == set(joints)]
@@ -195,7 +195,7 @@ def format_finding(finding: Finding, most: int = 3) -> tuple[str, ...]:
 
 
 def _format_size(finding: Finding, p: Parameter) -> str:
-    """Return an estimate; of a body's mass whether it is all of it or what it differs by from the robot file."""
+    """Return an estimate; for a body's mass, whether it is the total or the difference from the robot file."""
     if p.name.endswith(".mass_error"):
         return f"{r.format_estimate(replace(p, value=abs(p.value)))} {'more' if p.value > 0 else 'less'} than nominal"
     whole = finding.status == "parameter" and p.name in {f"{link}.mass" for link in finding.joints}
@@ -221,7 +221,7 @@ def build_total_table(series: WaterfallSeries) -> r.ResultTable:
 
 
 def build_output_tables(parts: list[WaterfallSeries]) -> list[r.Element]:
-    """Return the steps of every output as small tables; the steps of an output's own causes stand out."""
+    """Return the steps of every output as small tables; the steps of an output's own causes are highlighted."""
     return [
         r.tabulate_things(
             part.rungs,
@@ -243,12 +243,12 @@ def _link_finding(step: WaterfallStep) -> str:
 
 
 def format_share(share: float) -> str:
-    """Return what a step leaves; empty where nothing tells how large the output is."""
+    """Return the residual of a step; empty if the size of the output is unknown."""
     return r.format_percent(share) if np.isfinite(share) else ""
 
 
 def format_shares(shares: Sequence[float]) -> list[str]:
-    """Return what each step leaves, those that would read alike with as many digits, up to four, as tell them apart."""
+    """Return the residual of each step; equal texts get more digits, up to four, to distinguish them."""
     texts = [format_share(x) for x in shares]
     for text in {t for t in texts if t and texts.count(t) > 1}:
         alike = [k for k, t in enumerate(texts) if t == text]

@@ -1,6 +1,6 @@
-"""A workspace: size, cross-sections, the cloud with the robot in it, maps, what excludes the rest.
+"""A workspace: size, cross-sections, the point cloud with the robot, maps, reasons for exclusion.
 
-Cross-sections of a workspace as figures: where the tool can be and why not elsewhere, and maps with their scales.
+Cross-sections are figures of reachable points, of the reasons that exclude other points, and of maps with their scales.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from tau_dyn.kinematics.workspace import ELASTIC_MAPS, KINDS, QUANTITIES, Sectio
 from tau_dyn.render.presentation import present_kind, warn
 
 TALLEST = 420
-"""Height of a section's plot at most [px]."""
+"""Largest height of a section's plot [px]."""
 LEVELS = 16
-"""Colours of a map."""
+"""Number of colours of a map."""
 SHOWN_UNITS = {
     "N/m": (1e-6, "N/µm"),
     "m/s": (1.0, "m/s"),
@@ -25,9 +25,9 @@ SHOWN_UNITS = {
     "N": (1.0, "N"),
     "1": (1.0, ""),
 }
-"""Factor and unit in which quantities are shown; files stay in SI."""
+"""Factor and unit in which quantities are shown; files use SI units."""
 _AXES = "xyz"
-_MIN_LOG_RATIO = 12.0  # largest over least from which a map is drawn in logarithms
+_MIN_LOG_RATIO = 12.0  # ratio of largest to smallest value above which a map is logarithmic
 
 
 def get_reason_ink(kind: str) -> str:
@@ -36,7 +36,7 @@ def get_reason_ink(kind: str) -> str:
 
 
 def choose_window(found: Study, s: Section) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the part of a section that is drawn: the workspace with a fifth around it, within the box, and the carts."""
+    """Return the drawn part of a section: the workspace with a margin of a fifth, within the box, and the carts."""
     marks = _find_marks(found)[:, [s.across, s.up]]
     limits = []
     for k, (x, used) in enumerate(((s.u, s.inside.any(axis=1)), (s.v, s.inside.any(axis=0)))):
@@ -49,7 +49,7 @@ def choose_window(found: Study, s: Section) -> tuple[tuple[float, float], tuple[
 
 
 def _build_figure(found: Study, s: Section, marks: list[r.Mark], style: str = "") -> r.Figure:
-    """Return marks on a section, both axes to one scale, with the carts and the tool at home."""
+    """Return marks on a section, both axes at the same scale, with the carts and the tool at home."""
     xlim, ylim = choose_window(found, s)
     wide = r.THIRD - 56
     tall = wide * (ylim[1] - ylim[0]) / (xlim[1] - xlim[0])
@@ -66,7 +66,7 @@ def _build_figure(found: Study, s: Section, marks: list[r.Mark], style: str = ""
 
 
 def build_section_figure(found: Study, s: Section) -> r.Figure:
-    """Return a section: the workspace, what excludes the rest, the rods' joints on their guideways as squares."""
+    """Return a section: the workspace, the reasons that exclude other points, the rods' joints on their guideways as squares."""
     kinds = [kind for kind in KINDS if kind != "out of reach"]
     of = np.full(s.code.shape, -1)
     for code, kind, _ in found.workspace.reasons.items():
@@ -78,14 +78,14 @@ def build_section_figure(found: Study, s: Section) -> r.Figure:
 
 
 def list_reasons(found: Study) -> list[str]:
-    """Return the reasons that any section shows, in their order."""
+    """Return the reasons that occur in any section, in their order."""
     codes = np.unique(np.concatenate([s.code.ravel() for s in found.sections])) if found.sections else []
     there = {kind for code, kind, _ in found.workspace.reasons.items() if code in codes}
     return [kind for kind in KINDS if kind in there and kind != "out of reach"]
 
 
 def choose_map_scale(found: Study, name: str) -> tuple[float, float, bool]:
-    """Return the ends of a map's colours over all sections, and whether they run in logarithms."""
+    """Return the limits of a map's colours over all sections, and whether the scale is logarithmic."""
     values = np.concatenate([s.maps[name][np.isfinite(s.maps[name])] for s in found.sections])
     if not len(values):
         return 0.0, 1.0, False
@@ -115,7 +115,7 @@ def build_scale(found: Study, name: str) -> r.ColourScale:
 
 
 def _find_marks(found: Study) -> np.ndarray:
-    """Return where the rods' joints on their carts (or an arm's actuators) are at home, then the tool (n + 1, 3)."""
+    """Return the positions at home of the rods' joints on their carts (or of an arm's actuators), then of the tool (n + 1, 3)."""
     machine = found.workspace.machine
     tool = machine.home.position
     if machine.rods is None:
@@ -124,7 +124,7 @@ def _find_marks(found: Study) -> np.ndarray:
 
 
 _MAX_SECTIONS = 4
-"""Sections that a notebook shows."""
+"""Largest number of sections in a notebook."""
 MAP_WORDS = {
     "condition": "How much better the best direction is than the worst; 1 is isotropic, large is near a singularity.",
     "manipulability": "Product of the Jacobian's singular values: how much the tool moves for a move of the actuators.",
@@ -141,12 +141,12 @@ MAP_WORDS = {
     "force": "Force that the actuators' limits hold in every direction; gravity not counted.",
 }
 SIZE_UNITS = {"m3": "m³", "m2": "m²", "m": "m", "1": "points"}
-"""How the unit of a size is shown, by the workspace's dimension."""
+"""Displayed unit of a size, by the workspace's dimension."""
 
 
 @present_kind.register
 def present_workspace(found: Study) -> r.Presentation:
-    """Return how a workspace is presented."""
+    """Return the presentation of a workspace."""
     robot = found.workspace.machine.robot
     sections = [
         *warn([r.end_sentence(r.capitalise(text)) for text in (*robot.warnings, *found.warnings)]),
@@ -165,7 +165,7 @@ def present_workspace(found: Study) -> r.Presentation:
 
 
 def _list_facts(found: Study) -> list[tuple[str, str, str]]:
-    """Return what stands in large numbers: words, number, unit."""
+    """Return the facts shown in large numbers: words, number, unit."""
     space, frame = found.workspace, found.workspace.footprint
     name, unit = space.measure
     rows = [(name, r.format_number(space.size.value, 3), SIZE_UNITS[unit])]
@@ -210,7 +210,7 @@ def _build_sections(found: Study) -> Iterator[r.Element]:
 
 
 def _build_reasons(found: Study) -> r.ResultTable:
-    """Return the demands that are first not met, over the box that was looked at."""
+    """Return the demands that points fail first, over the studied box."""
     columns = [
         r.Column("first demand not met"), r.Column("", "bar"),
         r.Column("share of the box searched", "number", on=r.On.DRAWN),
@@ -262,7 +262,7 @@ def _build_catalogue(found: Study) -> Iterator[r.Element]:
 
 
 def _build_extremes(found: Study) -> Iterator[r.Element]:
-    """Yield where the maps of the springs are least and largest, and their intervals at home."""
+    """Yield the points of the smallest and largest values of the springs' maps, and their intervals at home."""
     rows, figures = [], found.catalogue
     for name, row in figures.rows.items():
         if name in ELASTIC_MAPS and row.least is not None and row.largest is not None:
@@ -354,7 +354,7 @@ def _list_demands(found: Study) -> list[tuple[str, str]]:
 
 
 def format_shown_value(name: str, value: float, digits: int = 3) -> str:
-    """Return a quantity's value with its unit as a person would read it."""
+    """Return a quantity's value with its unit in readable form."""
     if not np.isfinite(value):
         return "unknown" if np.isnan(value) else "∞"
     factor, unit = SHOWN_UNITS[QUANTITIES[name].unit]
@@ -370,7 +370,7 @@ def describe_size(found: Study) -> str:
 
 
 def describe_headline(found: Study) -> str:
-    """Return the one sentence above everything."""
+    """Return the headline."""
     space = found.workspace
     extent = space.upper - space.lower
     sides = " × ".join(f"{x:.2f}" for x, n in zip(extent, space.lattice.shape, strict=True) if n > 1)
@@ -378,7 +378,7 @@ def describe_headline(found: Study) -> str:
 
 
 def describe_verdict(found: Study) -> r.Verdict:
-    """Return how far the numbers may be relied on."""
+    """Return the verdict on the reliability of the numbers."""
     space = found.workspace
     half = (space.size.high - space.size.low) / 2 / max(space.size.value, 1e-12)
     level: r.Level = "good" if half < 0.1 else "care" if half < 0.25 else "poor"
@@ -389,7 +389,7 @@ def describe_verdict(found: Study) -> r.Verdict:
 
 
 def describe_limits(found: Study) -> str:
-    """Return what cuts the workspace most, beside the robot's reach."""
+    """Return the demand that reduces the workspace most, other than the robot's reach."""
     rows = [row for row in found.workspace.counts() if row["reason"] != "out of reach"]
     rows.sort(key=lambda row: -row["points"])
     if not rows:
@@ -399,7 +399,7 @@ def describe_limits(found: Study) -> str:
 
 
 def describe_inputs(found: Study) -> str:
-    """Return what was done."""
+    """Return a summary of the study."""
     space = found.workspace
     size = " × ".join(str(n) for n in space.lattice.shape)
     return (
