@@ -1,7 +1,7 @@
 """Codes of errors and warnings, each with cause and remedy: stable names for programs, while sentences may be reworded.
 
-An error's code stands in brackets behind its sentence, in `TauDynError.code` and, where the data cannot answer, as `code` in
-JSON. A `CodedWarning` is a `str` that carries its code, so every list of sentences may hold it: `warning_codes` in JSON stands
+The code of an error follows its sentence in brackets. It is also in `TauDynError.code` and, if the data cannot answer, under
+`code` in JSON. A `CodedWarning` is a `str` with a code, so every list of sentences may hold it: `warning_codes` in JSON is
 parallel to `warnings`. `docs/reference/message_codes.md` is made from these tables.
 """
 
@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple, Self
 
 UNCODED = "note"
-"""Code of a sentence that no program needs to tell from others."""
+"""Code of a sentence that no program needs to identify."""
 
 
 class CodedWarning(str):
@@ -66,7 +66,7 @@ def format_warnings(warnings: Iterable[str]) -> dict[str, Any]:
 
 
 class MessageCode(NamedTuple):
-    """What a code says, and what to do."""
+    """Cause and remedy of a code."""
 
     cause: str
     remedy: str

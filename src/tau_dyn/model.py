@@ -84,7 +84,7 @@ class Model(Shown):
         effects: The effects beyond the rigid body.
         effect_parameters: Values of the effects' parameters, in the effects' order.
         provenance: Where the values came from: logs and hashes, versions, seed.
-        controller: The servo's law that it was identified with, as a controller file holds it; empty for none.
+        controller: Servo law of the identification, in the form of a controller file; empty without a servo law.
 
     Example:
         >>> model = td.Model.of(td.load_robot("linear_axis")).with_values({"carriage_link.mass": 90.0})
@@ -192,7 +192,7 @@ class Model(Shown):
             a: Accelerations (N, na).
             sign: Replaces `sign(v)` in friction (N, na).
             t: Time (N,) [s] of samples in order, evenly spaced; None for single states, in no order.
-            signals: What the effects feel and the model cannot compute, such as `temperature` (N, na) [degC].
+            signals: Inputs of the effects that the model cannot compute, such as `temperature` (N, na) [degC].
 
         Raises:
             InputError: An effect needs a signal that is not given, or acts on a recording while these are single states;

@@ -64,7 +64,7 @@ class Parameter:
 
     @property
     def at_bound(self) -> bool:
-        """Whether the value sits on one of its bounds."""
+        """Whether the value is at one of its bounds."""
         scale = max(abs(self.value), 1e-12)
         return bool(abs(self.value - self.lower) < 1e-6 * scale or abs(self.value - self.upper) < 1e-6 * scale)
 
@@ -104,7 +104,7 @@ class Parameters(Shown):
         """Return the parameter of a name or a place, or those of a slice; `select` takes patterns.
 
         Raises:
-            UnknownName: There is none of that name; the fault lists what exists.
+            UnknownName: No parameter has that name; the error lists the existing names.
         """
         if isinstance(key, slice):
             return Parameters(list(self)[key])
@@ -137,7 +137,7 @@ class Parameters(Shown):
         return tuple(pair for pair in pairs if pair[1] in self._items)
 
     def is_at_bound(self, name: str) -> bool:
-        """Tell whether a value sits on one of its bounds, or the sum of a joint's Coulomb values on zero."""
+        """Return whether a value is at one of its bounds, or the sum of a joint's Coulomb values at zero."""
         if self[name].at_bound:
             return True
         pairs = [[self[one].value for one in pair] for pair in self.friction_sums if name in pair]
@@ -169,7 +169,7 @@ class Parameters(Shown):
         """Return the parameters of names or shell patterns, each once, in the order given.
 
         Raises:
-            UnknownName: A name or a pattern fits none.
+            UnknownName: A name or a pattern matches no parameter.
         """
         asked = [names] if isinstance(names, str) else names
         found = [name for n in asked for name in ([n] if n in self._items else self.match(n))]

@@ -32,9 +32,9 @@ class DataFile:
     Attributes:
         name: Name under which it is written.
         n_bytes: Size [bytes]; without an address that of the converted file.
-        address: Where it is published; empty where its published form is not read.
+        address: Address of the published file; empty if its published form cannot be read.
         sha256: Checksum of the published file; empty without an address.
-        converted: Name of a copy in another format, as the data folder may hold it; empty if there is none.
+        converted: Name of a copy in another format that the data folder may hold; empty if no such copy exists.
     """
 
     name: str
@@ -51,13 +51,13 @@ class DataSet:
     Attributes:
         name: Short name.
         about: Machine, rate and length.
-        question: What its logs answer.
+        question: Question that the logs answer.
         licence: Licence of the published files.
         source: Page where they are published.
         files: The files.
         robots: Robot files that are written next to the logs: file names, or short names of built-in robots.
         columns: File name of the column map.
-        controller: File name of the servo law; empty if there is none.
+        controller: File name of the servo law; empty if the law is unknown.
         next: Commands to run on the folder; @ is replaced by the folder.
     """
 

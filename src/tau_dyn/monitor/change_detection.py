@@ -38,9 +38,9 @@ FALSE_ALARMS_PER_HOUR = 1e-4
 LENGTHS = np.unique(np.round(np.geomspace(1, BLOCKS_PER_HOUR, 20)).astype(int))
 """Blocks over which a change is looked for: from one to those of an hour, each about half as long again as the one before."""
 CONFIRMING_BLOCKS = 5
-"""Blocks after a detection that take part in the name, the size and the time of a change: 10 s tell near causes apart."""
+"""Blocks after a detection that take part in the name, the size and the time of a change: 10 s separate similar causes."""
 CHANGE_POINT_95 = 7.35
-"""Fall of the likelihood ratio within which 95 % of true change-points lie: -2 log(1 - sqrt(0.95)) (Hansen 2000)."""
+"""Fall of the likelihood ratio that contains 95 % of true change-points: -2 log(1 - sqrt(0.95)) (Hansen 2000)."""
 
 
 @dataclass(frozen=True, eq=False)

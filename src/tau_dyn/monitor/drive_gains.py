@@ -1,11 +1,11 @@
-r"""Joint against joint: does every drive measure the same payload?
+r"""Comparison of the joints: does every drive measure the same payload?
 
     tau_j = Y_j theta_j + [loaded] (1 + g_j) L_j pi,     j = 1 .. na joints
 
-`L_j pi` is the force of the payload at joint `j`. Every joint has base parameters and friction of its own, so a wrong scale of
-its force changes nothing but `g_j`. Only ratios of the factors `1 + g_j` can be known: a common factor is a heavier payload. They
-are found by alternating least squares on the joints' triangular factors. Their errors are those of the linear problem at the
-solution (`estimate/covariance.py`), with one joint as the reference.
+`L_j pi` is the force of the payload at joint `j`. Every joint has its own base parameters and friction, so a wrong scale of its
+force changes only `g_j`. Only ratios of the factors `1 + g_j` are identifiable: a common factor is a heavier payload. They are
+estimated by alternating least squares on the joints' triangular factors. Their standard errors are those of the linear problem
+at the solution (`estimate/covariance.py`), with one joint as the reference.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _RANK = 1e-7
 _MIN_INFORMATION = 0.01
 """Share of the information about the payload that makes a joint worth a factor of its own."""
 _ITERATIONS = 30
-"""Of alternating least squares; factors of 1.4 converge within ten."""
+"""Largest number of iterations of alternating least squares; factors of 1.4 converge within ten."""
 
 
 @dataclass(frozen=True)

@@ -47,10 +47,10 @@ from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import Shown, format_list
 from tau_dyn.robot import Robot
 
-MIN_UNITS = 3  # of which a spread can be told
-_MIN_UNITS_OUTLYING = 4  # from which a unit can be held against the spread of the others
+MIN_UNITS = 3  # from which a spread can be estimated
+_MIN_UNITS_OUTLYING = 4  # from which a unit can be compared with the spread of the others
 _PRIOR_TAIL = 0.10  # below the upper end of the spread that a new unit is given
-_CENTRE_DRAWS = 400  # whose mean lies well inside the consistent set
+_CENTRE_DRAWS = 400  # whose mean is well inside the consistent set
 
 
 class FleetParameter(NamedTuple):
@@ -106,11 +106,11 @@ class Fleet(Shown):
 
     Attributes:
         model: Means as values, with the spread of a new unit as `prior_stderr`.
-        units: Their names.
+        units: Names of the units.
         parameters: Mean and spread of each base parameter that three units or more determine.
         outlying: Units that differ from the others.
         warnings: Doubts, as sentences.
-        seed: Of whatever was random.
+        seed: Seed of all random numbers.
     """
 
     model: Model
@@ -186,7 +186,7 @@ def identify_fleet(
         model: Friction model or model, as `identify` takes it.
         choices: Parameters that are fixed, free or bounded.
         exclude: Log columns whose nonzero samples are left out.
-        seed: Of whatever is random.
+        seed: Seed of all random numbers.
         progress: Called with a word for each step.
 
     Raises:

@@ -63,13 +63,13 @@ MAX_HIDDEN_SHARE = 0.05
 _EXPERIMENT_S = 20.0  # of the motion by which the length of the one to make is predicted
 _MAX_EXPERIMENT_S = 600.0  # a longer motion than ten minutes is no short one; more accuracy asks for another motion
 _MIN_JOINT_SHARE = 0.1  # of the information about a payload's mass that makes a joint worth naming
-_MIN_LENGTH_M = 0.05  # lever by which a centre counts as known where the payload sits at the frame's origin
+_MIN_LENGTH_M = 0.05  # lever by which a centre counts as known if the payload is at the frame's origin
 
 INERTIA = INERTIAL[4:]
 
 
 class PropertyEstimate(NamedTuple):
-    """Mass, centre or inertia of a payload: values (k,), standard errors (k,; NaN for none), whether they are determined."""
+    """Mass, centre or inertia of a payload: values (k,), standard errors (k,; NaN if unknown), whether they are determined."""
 
     values: np.ndarray
     stderr: np.ndarray
@@ -93,7 +93,7 @@ class PropertyEstimate(NamedTuple):
 
 
 class FrictionDifference(NamedTuple):
-    """By how much one joint's friction is higher in the loaded logs; the p-value counts all joints (Bonferroni)."""
+    """Increase of one joint's friction in the loaded logs; the p-value counts all joints (Bonferroni)."""
 
     joint: str
     coulomb: Parameter
@@ -225,7 +225,7 @@ def identify_payload(
         loaded: The same robot with it; the same motion or another.
         link: Link that carries it; by default the one with the tool, or the tree's only leaf.
         exclude: Log columns whose nonzero samples are left out.
-        seed: Of the motion that is proposed where these are too short.
+        seed: Seed of the motion that is proposed if the logs are too short.
         progress: Called with a word for each step.
 
     Raises:
@@ -339,12 +339,12 @@ def untie_link(model: Model, body: LinkInertia) -> Model:
 
 
 def add_payload_columns(model: Model, body: LinkInertia, regression: Regression, loaded: set[str]) -> Regression:
-    """Return the regression of a model, a payload and friction that differs, from one whose link has all ten columns.
+    """Return the regression with columns for payload and friction differences, from one whose link has all ten columns.
 
     Args:
         model: The model.
         body: The link that carries the payload.
-        regression: Of the model with this link untied.
+        regression: Regression of the model with this link untied.
         loaded: Names of the runs with the payload.
     """
     names = regression.parameters.names
@@ -485,14 +485,14 @@ def _compute_own_mass(model: Model) -> float:
 
 
 def _propose_motion(model: Model, body: LinkInertia, sigma: np.ndarray | None, allowed: float | None, seed: int) -> str:
-    """Return which joints to move and how long, from the errors that a Fourier motion of 20 s is predicted to leave.
+    """Return which joints to move and how long, from the standard errors predicted for a Fourier motion of 20 s.
 
     Args:
         model: The model.
         body: The link that carries the payload.
         sigma: Residual deviation of each joint (na,), which enlarges the noise of good drives.
         allowed: Standard error of the mass to reach [kg].
-        seed: Of the motion and its noise.
+        seed: Seed of the motion and its noise.
     """
     seconds, named = _EXPERIMENT_S, list(model.robot.actuated)
     try:

@@ -55,7 +55,7 @@ REFERENCE_S = 60.0
 MIN_REFERENCE_S = 40.0
 """Fewest [s]: below 20 blocks the threshold that the false-alarm rate asks for exceeds 12 standard errors."""
 _MIN_SHARE = 0.25
-"""Part of a block's samples, over all joints, that must be usable; fewer tell little and scatter much."""
+"""Part of a block's samples, over all joints, that must be usable; fewer carry little information and scatter much."""
 
 
 @dataclass(frozen=True, eq=False)
