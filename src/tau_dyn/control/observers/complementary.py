@@ -9,8 +9,8 @@ Zero phase: `G` is a second-order Butterworth low-pass H forwards and backwards.
 high-pass P with the same cutoff, exactly so for filters from the bilinear transform, and one pass of P with both integrators
 is `H / w^2` with `w = 2 / dt tan(pi f dt)`: the acceleration runs through `H / w^2` forwards and P backwards.
 
-Causal: the complement of a second-order low-pass has one zero at zero frequency and lets drift through. Here
-`1 - G = s^3 / (s^3 + 2 w s^2 + 2 w^2 s + w^3)`: a constant error of the accelerometer leaves no trace.
+Causal: the complement of a second-order low-pass has one zero at zero frequency and lets drift pass. Here
+`1 - G = s^3 / (s^3 + 2 w s^2 + 2 w^2 s + w^3)`: a constant error of the accelerometer has no effect.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class ComplementaryToolObserver:
 
         Args:
             kinematic: Tool positions computed from the actuators (N, m) [m]; the robot is at rest at the first sample.
-            acceleration: Of the tool, without gravity (N, m) [m/s^2].
+            acceleration: Acceleration of the tool, without gravity (N, m) [m/s^2].
         """
         rest = require_signals(kinematic, acceleration, self.axes)[0]
         slow = [p.run(kinematic[:, k] - rest[k]) for k, (p, _) in enumerate(self.pairs())]
@@ -98,7 +98,7 @@ class ComplementaryToolObserver:
     def standard_error(self, kinematic_noise: float | np.ndarray, acceleration_noise: float | np.ndarray) -> np.ndarray:
         """Return the estimate's standard deviation (m,) [m] from white noise of both sensors [m], [m/s^2].
 
-        What the model of neither knows (deflection below the cutoff, the accelerometer's errors above) is not in it.
+        It does not contain errors of both models (deflection below the cutoff, errors of the accelerometer above it).
         """
         f = (np.arange(4096) + 0.5) / 8192 / self.dt
         slow, fast = self.responses(f)
