@@ -1,4 +1,4 @@
-"""`identify` and `diagnose` for whatever logs hold: forces, or commands and positions without forces."""
+"""`identify` and `diagnose` for logs with forces, or with commands and positions but without forces."""
 
 from __future__ import annotations
 

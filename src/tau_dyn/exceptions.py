@@ -77,7 +77,7 @@ class TauDynError(Exception):
         return format_one_line(str(self.args[0]))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Travel between processes whatever arguments the constructor takes."""
+        """Support transfer between processes, independent of the constructor's arguments."""
         return _restore, (type(self), self.args, self.__dict__)
 
 
@@ -103,7 +103,7 @@ class UnknownName(InputError, KeyError):
     """A name that does not exist; the message lists the existing names, the nearest first if there are many."""
 
     def __init__(self, kind: str, name: object, known: Iterable[object], where: str = "", more: str = "") -> None:
-        """Build the sentence from the kind of thing, the name asked for, the names that exist, and what else would help."""
+        """Build the sentence from the kind of thing, the requested name, the existing names, and further advice."""
         names = [str(k) for k in known]
         listed = ", ".join(names if len(names) <= 12 else _sort_nearest(str(name), names)[:12])
         listed += f" and {len(names) - 12} more" if len(names) > 12 else ""

@@ -32,7 +32,7 @@ class Feedforward:
 
     Attributes:
         model: The model.
-        width: Speed over which the sign changes, one a joint (na,) [m/s or rad/s].
+        width: Speed over which the sign changes, one per joint (na,) [m/s or rad/s].
         shape: 'ramp' or 'tanh'.
         left_out: Effects that a single state does not determine; a call with their input signals includes them.
         warnings: A sentence for each effect that is left out.
@@ -48,7 +48,7 @@ class Feedforward:
 
         Args:
             model: The identified model.
-            width: Half-width of the transition around zero velocity [m/s or rad/s]: a number or one a joint (na,).
+            width: Half-width of the transition around zero velocity [m/s or rad/s]: a number or one per joint (na,).
             shape: 'ramp' (piecewise linear) or 'tanh'.
 
         Raises:

@@ -111,7 +111,7 @@ def _measures(tool: np.ndarray, actuators: np.ndarray) -> np.ndarray:
 
 
 def compute_tool_jacobian(rates: Rates) -> np.ndarray:
-    """Return `J` (N, d, na): tool twist per actuator speed [m or rad per m or rad]; nan where `J_x` is singular."""
+    """Return `J` (N, d, na): tool twist per actuator speed [m or rad per m or rad]; nan if `J_x` is singular."""
     J = np.full((len(rates.tool), rates.tool.shape[2], rates.actuators.shape[2]), np.nan)
     sound = np.asarray(np.isfinite(rates.tool).all(axis=(1, 2)) & np.isfinite(rates.actuators).all(axis=(1, 2)))
     if sound.any():

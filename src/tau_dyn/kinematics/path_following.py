@@ -16,7 +16,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import Kinematics, Poses, build_kinematics, require_poses, require_positions
 from tau_dyn.robot import Robot
 
-_MAX_STEP_RATIO = 0.3  # of the mean rod's length, or m or rad without rods: no path of neighbouring poses asks for this
+_MAX_STEP_RATIO = 0.3  # of the mean rod's length, or m or rad without rods; neighbouring poses need less
 
 
 @dataclass(frozen=True, eq=False)

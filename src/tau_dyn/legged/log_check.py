@@ -53,15 +53,15 @@ QUATERNION = ("q_base_qx", "q_base_qy", "q_base_qz", "q_base_qw")
 LINEAR = ("v_base_x", "v_base_y", "v_base_z")
 ANGULAR = ("v_base_wx", "v_base_wy", "v_base_wz")
 MAX_PITCH = np.radians(80.0)
-"""Pitch [rad] beyond which yaw and roll are no coordinates any more; accelerations in them grow by `1 / cos^2`."""
+"""Largest pitch [rad]: beyond it yaw and roll are ill-defined; accelerations in them grow by `1 / cos^2`."""
 MAX_NORM_ERROR = 0.05
-"""Difference of a quaternion's length from one; more, and the columns are no quaternion's."""
+"""Largest difference of a quaternion's length from one; with more, the columns are no quaternion."""
 
 
 def complete_base(robot: Robot, logs: Sequence[AnyLog]) -> list[AnyLog]:
     """Return logs with the positions of a floating base's coordinates, and their forces, which are zero.
 
-    Logs of a robot with a fixed base come back as they are.
+    Logs of a robot with a fixed base are returned unchanged.
 
     Raises:
         InputError: The orientation is missing or no rotation, position and velocity are both missing, the base pitches
@@ -137,7 +137,7 @@ def _read_position(log: Log, rotation: Rotation) -> np.ndarray:
 _COMPARED_HZ = 5.0
 """Low-pass of both velocities before they are compared [Hz]: above it a pose's noise is most of its derivative."""
 _CLEARER = 3.0
-"""How many times better one frame explains a velocity than the other where there is no doubt."""
+"""Smallest ratio of the errors in both frames at which the frame of a velocity is certain."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ def check_robot_log(log: Log, robot: Robot | None) -> LogCheck:
         return check_log(log, robot)
     joints = {name: x for name, x in log.channels.items() if not name.startswith(("q_base_", "v_base_"))}
     checked = check_log(replace(log, channels=joints), DrivenJoints.of(robot))
-    # joints leap where feet touch down, with no sample lost
+    # positions of joints jump when feet touch down, without lost samples
     findings = [finding for finding in checked.findings if finding.code != "lost_samples"]
     try:
         complete_base(robot, [log])

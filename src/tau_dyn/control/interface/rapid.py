@@ -72,7 +72,7 @@ def format_robtarget(position: np.ndarray, quaternion: np.ndarray) -> str:
 
 
 def format_array(declaration: str, rows: Sequence[str]) -> list[str]:
-    """Return lines that declare a constant array, a row a line."""
+    """Return lines that declare a constant array, one row per line."""
     return [f"  CONST {declaration}{{{len(rows)}}} := [", ",\n".join(f"    {row}" for row in rows), "  ];"]
 
 

@@ -26,7 +26,7 @@ from tau_dyn.robot import Robot
 from tau_dyn.simulate import Trajectory, describe_exceeded_limit
 
 PerJoint = float | np.ndarray | list[float] | tuple[float, ...]
-"""A number for all joints, or one a joint (na,)."""
+"""A number for all joints, or one per joint (na,)."""
 
 
 def broadcast_limit(robot: Robot, name: str, given: PerJoint | None, default: PerJoint) -> np.ndarray:
@@ -105,7 +105,7 @@ def check_motion(model: Model, motion: Trajectory, limits: CommandLimits | None 
     """Refuse a motion that leaves a limit; see `list_exceeded_limits`.
 
     Raises:
-        InputError: One sentence that names every broken limit with the joint and the time where it is broken most.
+        InputError: A limit is exceeded; the message names every such limit with the joint and the time of the largest excess.
     """
     broken = list_exceeded_limits(model, motion, CommandLimits.of(model.robot) if limits is None else limits)
     if broken:
@@ -219,8 +219,8 @@ def resample_to_period(motion: Trajectory, period: float, *, resample: bool = Fa
     Args:
         motion: The motion.
         period: The controller's period [s].
-        resample: Allow another clock: every n-th sample where the period is n of the motion's, else the quintic spline through
-            the samples.
+        resample: Allow another clock: every n-th sample if the period is n times the motion's, else the quintic spline
+            through the samples.
 
     Raises:
         InputError: The period differs and resampling was not requested, or resampling would lose part of the motion.

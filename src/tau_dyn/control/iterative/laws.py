@@ -1,4 +1,4 @@
-"""How one trial's error becomes the next trial's correction: filters, a norm-optimal law, and a robust filter Q.
+"""Learning laws, from one trial's error to the next correction: filters, a norm-optimal law, and a robust filter Q.
 
 The learning law `u_{k+1} = Q (u_k + L e_k)` (thesis 7.2, 7.6), `Q = Q_w Q_z` (7.13): weights after a zero-phase filter.
 

@@ -69,7 +69,7 @@ class Reference:
 
     @property
     def full(self) -> slice:
-        """Where learning acts fully and errors are judged."""
+        """Samples where learning acts fully and errors are evaluated."""
         return slice(self.first, self.last)
 
     def weights(self) -> np.ndarray:

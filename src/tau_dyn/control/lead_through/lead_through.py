@@ -50,7 +50,7 @@ class HandleImpedance:
         self.held = np.zeros(6)
 
     def step(self, wrench: np.ndarray, applied: np.ndarray) -> np.ndarray:
-        """Return the velocity (6,) that the handle asks for.
+        """Return the velocity (6,) requested by the handle.
 
         Args:
             wrench: The hand's force and torque on the handle (6,), world axes at the tool point.
@@ -67,7 +67,7 @@ def handle_part(twist: np.ndarray, normal: np.ndarray, contact: bool) -> np.ndar
     """Return P_h (8.8): the handle moves the tool but never turns it; with contact, only along the surface.
 
     Args:
-        twist: Velocity that the handle asks for (6,) [m/s, rad/s].
+        twist: Velocity requested by the handle (6,) [m/s, rad/s].
         normal: Unit surface normal (3,).
         contact: Whether the tool touches the work.
     """
@@ -82,7 +82,7 @@ def compute_tool_part(
     """Return P_t: the force along the normal (8.9) and, if the tool may turn, all torques (8.11); zero without contact.
 
     Args:
-        twist: Velocity that the tool's force asks for (6,) [m/s, rad/s].
+        twist: Velocity requested by the tool's force (6,) [m/s, rad/s].
         normal: Unit surface normal (3,).
         contact: Whether the tool touches the work.
         turns: False for (8.9), True for (8.11).

@@ -145,7 +145,7 @@ class LeadThroughSettings:
         normal_hz: Corner of the filter on the force that gives the normal [Hz]; None takes (8.10) as printed.
         contact_on: Force at which contact begins [N].
         contact_off: Force below which it ends [N].
-        torque_on: Torque that counts as `contact_on` where the tool may turn [N m].
+        torque_on: Torque that counts as `contact_on` if the tool may turn [N m].
         contact_wait: Time below `contact_off` before contact ends [s].
         release_force: Pull of the hand along the normal that ends contact [N].
         speed_limit: Largest speed of the tool [m/s].

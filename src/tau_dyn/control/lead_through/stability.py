@@ -119,7 +119,7 @@ class ForceLoop:
     def matrix(self, gain: float, stiffness: float, damping: float = 0.0) -> np.ndarray:
         """Return the closed loop's state matrix; its states are x, v, the filtered force and the commands on their way.
 
-        Its largest eigenvalue by magnitude is above one exactly where `gain` is above `limit(..).gain`.
+        Its largest eigenvalue by magnitude is above one exactly if `gain` is above `limit(..).gain`.
         """
         n = 3 + self.delay
         unit = np.eye(n)

@@ -230,7 +230,7 @@ class Free(Coordinates):
     """The actuated positions."""
 
     def __init__(self, path: JointPath, lower: np.ndarray, upper: np.ndarray) -> None:
-        """Take both ends, and where to start searching, from a path."""
+        """Take both ends, and the start of the search, from a path."""
         self.path, self.lower, self.upper = path, lower, upper
         self.start, self.end = path.q(0.0), path.q(1.0)
 
@@ -363,7 +363,7 @@ def build_node_motion(coordinates: Coordinates, nodes: Nodes, share: np.ndarray,
 _THIRD = 1 / 3  # of the time each for speeding up, cruising and slowing down: least peak power
 _FIRST, _LAST = 0.02, 300.0  # [s] shortest and longest duration that is tried
 _GROWTH = 1.15  # factor on the duration of a first guess until limits hold
-_FALLBACK = 2.0  # [s] where weight alone is beyond a limit on the way
+_FALLBACK = 2.0  # [s] if weight alone exceeds a limit on the way
 _MIN_SPEED = 1e-3  # [m/s or rad/s]
 
 

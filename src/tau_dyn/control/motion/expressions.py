@@ -1,4 +1,4 @@
-"""A model's forces as casadi expressions, for a solver that asks for exact first and second derivatives.
+"""A model's forces as casadi expressions, for a solver that needs exact first and second derivatives.
 
 The expressions are those of the C export (`codegen/program.py`): the code of mechanism and effects, run once on symbols and
 compared with Python. If loops are solved numerically, the passive joints and the solution of every inner linear system become
@@ -41,7 +41,7 @@ class ForceLaw:
     Attributes:
         feedforward: The same forces in Python, with the same smoothed sign of friction.
         forces: casadi function `(q, v, a, p, y) -> tau`, columns of (na,), (na,), (na,), (n_p,) and (n_y,).
-        residual: casadi function `(q, v, a, p, y) -> r`, zero where loops are closed and inner systems are solved.
+        residual: casadi function `(q, v, a, p, y) -> r`, zero if loops are closed and inner systems are solved.
         n_passive: Number of passive joints that are solved for.
         n_inner: Number of further unknowns.
         warnings: Effects that the forces leave out, as sentences.
@@ -117,7 +117,7 @@ def build_force_law(model: Model, width: np.ndarray) -> ForceLaw:
 
 
 def _traced(model: Model, width: np.ndarray) -> tuple[Program, list]:
-    """Return the program of the model, or of the model without the effects that feel the mechanism's insides."""
+    """Return the program of the model, or of the model without the effects that depend on internals of the mechanism."""
     steady = model.steady()
     simple = steady.only(effect for effect in steady.effects if not effect.needs)
     try:

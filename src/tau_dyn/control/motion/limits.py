@@ -169,7 +169,7 @@ def _reached(robot: Robot, position: np.ndarray, name: str, near: np.ndarray | N
 
 
 def _check_closure(model: Model, q: np.ndarray, where: str, limits: MotionLimits) -> None:
-    condition = float(model.mechanism.condition(q[None])[0])  # raises LoopClosureError where the loops do not close
+    condition = float(model.mechanism.condition(q[None])[0])  # raises LoopClosureError if the loops do not close
     if condition > limits.condition:
         raise InputError(
             "unreachable",

@@ -189,7 +189,7 @@ def tighten_limits(
     limits: MotionLimits,
     which: list,
 ) -> np.ndarray | None:
-    """Return the shares of the limits (2 N + 1, m) for the next round, or None where this one keeps everything."""
+    """Return the shares of the limits (2 N + 1, m) for the next round, or None if this one keeps all limits."""
     looks = np.linspace(0, 1, _FINE * (len(nodes.x) - 1) + 1)
     used = compute_limit_usage(feedforward, build_node_motion(coordinates, nodes, looks, nodes.T), limits, which)
     if used.max(initial=0.0) <= 1 + MAX_LIMIT_EXCESS:
@@ -301,7 +301,7 @@ def _starting_path(model: Model, first: np.ndarray, last: np.ndarray, limits: Mo
         except InputError:
             pass
     straight = build_joint_line(first, last)
-    model.mechanism.condition(straight.q(np.linspace(0, 1, 50)))  # raises where the loops do not close
+    model.mechanism.condition(straight.q(np.linspace(0, 1, 50)))  # raises if the loops do not close
     return straight
 
 
@@ -394,7 +394,7 @@ def _binding(robot: Robot, used: np.ndarray, which: list[tuple[str, int]]) -> tu
 
 
 def _refuse_between_nodes(used: np.ndarray) -> None:
-    """Refuse a motion that keeps its limits only where the solver looked."""
+    """Refuse a motion that keeps its limits only at the solver's nodes and middles."""
     excess = float(used.max(initial=0.0)) - 1
     if excess > _WORST:
         raise CannotAnswer(

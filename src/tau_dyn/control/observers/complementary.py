@@ -48,7 +48,7 @@ class ComplementaryToolObserver:
     """Tool positions from positions computed by forward kinematics and an accelerometer.
 
     Attributes:
-        cutoff_hz: Of G, one an axis [Hz]; the thesis' (7.18) are 4.50 and 2.63.
+        cutoff_hz: Cutoff of G, one per axis [Hz]; the thesis' (7.18) are 4.50 and 2.63.
         dt: Sampling step [s].
         causal: Use the past alone, as a controller must; otherwise the filter has zero phase and needs the whole trial.
     """
@@ -125,7 +125,7 @@ class Passes:
     held: bool
 
     def run(self, x: np.ndarray) -> np.ndarray:
-        """Filter (N, ...) along time; the backward pass begins one length after the end, where all has settled."""
+        """Filter (N, ...) along time; the backward pass begins one length after the end, where the response has settled."""
         if self.backwards is None:
             return np.asarray(lfilter(*self.forwards, x, axis=0))
         tail = np.repeat(x[-1:] * float(self.held), len(x), axis=0)

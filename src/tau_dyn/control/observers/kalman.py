@@ -43,7 +43,7 @@ from tau_dyn.modes import StateSpace
 
 @dataclass(frozen=True, eq=False)
 class ExtendedModel:
-    """The extended model: `x(t + T) = A x(t) + B u`, with `u` at t, or at `t + T` where `ahead`.
+    """The extended model: `x(t + T) = A x(t) + B u`, with `u` at t, or at `t + T` if `ahead`.
 
     Attributes:
         A: (n, n).

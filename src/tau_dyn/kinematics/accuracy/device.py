@@ -228,7 +228,7 @@ def _compare(state: State, tool: Poses, plate: Poses, ok: np.ndarray) -> Moved:
 
 
 def solve(C: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Return `C^-1 right` for many; nan where C is singular."""
+    """Return `C^-1 right` for many matrices; nan if C is singular."""
     try:
         return np.linalg.solve(C, right)
     except np.linalg.LinAlgError:

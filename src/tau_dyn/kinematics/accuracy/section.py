@@ -229,7 +229,7 @@ def _size(kinematics: Kinematics, tool: Poses) -> float:
 
 ENOUGH_POINTS = 10
 """Reached points of a default section; with fewer the other sections through home are tried."""
-_NEARBY = 0.05  # [m or rad] from home, where directions of motion are looked for
+_NEARBY = 0.05  # [m or rad] from home, within which directions of motion are determined
 _STILL = 1e-9  # share of the largest speed below which the tool does not move along an axis
 _FLAT = 1e-9  # [m] extent of the tool's motion along an axis below which it stays in a plane
 

@@ -100,7 +100,7 @@ def _corner(device: LegsDevice, state: State, sign: np.ndarray) -> tuple[np.ndar
 
 
 def _projected(w: np.ndarray, axes: np.ndarray, semi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return where the rays along `w` (N, n, 3) pierce the ellipsoids, from w's end, and the unit normals there."""
+    """Return the intersections of rays along `w` (N, n, 3) with the ellipsoids, from w's end, and the unit normals there."""
     own = np.einsum("kab,Nka->Nkb", axes, w)
     on = own / np.linalg.norm(own / semi, axis=2, keepdims=True)
     normal = on / semi**2

@@ -78,7 +78,7 @@ def _aligned(H: np.ndarray, c: np.ndarray, balls: tuple[slice, ...]) -> np.ndarr
 
 
 def _starts(H: np.ndarray, balls: tuple[slice, ...], own: bool) -> np.ndarray:
-    """Return start directions (N, S, 3): the diagonals of sign combinations, and others where sources are shared."""
+    """Return start directions (N, S, 3): the diagonals of sign combinations, and others if rods share sources."""
     main = [_main_direction(H[:, :, ball]) for ball in balls]
     groups = _parallel_groups(main)
     starts = []

@@ -18,7 +18,7 @@ _ORDER = 12  # of the power series of a path step (Telen, Van Barel & Verschelde
 _MIN_REMAINING_PATH = 1e-13
 """A path that is not finished this near to the end, ends in a singular point."""
 _NULL, _SMALLEST_NULL = 1e-2, 1e-11
-"""The same where the quaternion is about to be null, `|e . e| < _NULL |e|^2`: such an end is no pose, and slow to reach."""
+"""The same if the quaternion is nearly null, `|e . e| < _NULL |e|^2`: such an end is no pose, and slow to reach."""
 _NEWTON = 1e-3
 """A first correction above this share of the point means that the prediction is unreliable."""
 _NOISE = 1e-9
@@ -143,7 +143,7 @@ class _Moving(NamedTuple):
             sizes.append(np.linalg.norm(change, axis=1))
         first, second, third = sizes
         with np.errstate(invalid="ignore"):
-            noise = _NOISE + 1e-15 * np.linalg.norm(inverse, axis=(1, 2))  # what rounding does near a singular point
+            noise = _NOISE + 1e-15 * np.linalg.norm(inverse, axis=(1, 2))  # rounding errors near a singular point
             good = (first < _NEWTON) & (second < np.maximum(0.1 * first, noise)) & (third < noise)
         return x / np.linalg.norm(x, axis=1, keepdims=True), good
 

@@ -32,8 +32,8 @@ class States(NamedTuple):
 
     Attributes:
         assembly: Sign of `det gap_X` (N,); 0 on a parallel singularity.
-        working: Signs of the chains' blocks of `det gap_q` (N, n_chains), as `rods.groups`; 0 on a serial
-            singularity, and where a chain has more rods than actuators.
+        working: Signs of the chains' blocks of `det gap_q` (N, n_chains), as `rods.groups`; 0 on a serial singularity, and if
+            a chain has more rods than actuators.
         distance: Smallest singular value of the dimensionless `gap_X` (N,): 0 on a parallel singularity.
     """
 
@@ -236,7 +236,7 @@ HOME, REACHABLE, SEPARATED, UNKNOWN = "home", "reachable", "behind a singularity
 _EQUALITY_TOLERANCE = 1e-6
 """Positions and poses closer than this count as equal."""
 _EXTENSION = 0.5
-"""How far a tree grows towards a random pose, in lengths of `Limits.scale` and radians."""
+"""Largest growth of a tree towards a random pose, in lengths of `Limits.scale` and radians."""
 
 
 class Reach(NamedTuple):
@@ -342,7 +342,7 @@ class _Tree:
         self.q, self.plate = root.q[None], root.plate
 
     def grow(self, rods: Rods, target: Poses, limits: Limits, reach: float) -> Sample:
-        """Move from the nearest sample towards a pose and keep the way; return where it ended."""
+        """Move from the nearest sample towards a pose and store the samples; return the last one."""
         parent = int(np.argmin(measure_pose_distances(self.plate, target, limits.scale)))
         motion, _ = advance(rods, self.samples[parent], target, limits, reach)
         for sample in motion:

@@ -83,7 +83,7 @@ MIN_POINTS = 8
 SHAPE_DEGREE = 4
 """Polynomials up to this degree describe a guideway's slow shape."""
 SIGNIFICANCE_LEVEL = 0.01
-"""p-value below which a shape, a cycle or a backlash counts as seen."""
+"""p-value below which a shape, a cycle or a backlash counts as significant."""
 _MIXED = 3
 """Points in each direction of travel from which backlash is estimated."""
 
@@ -108,16 +108,16 @@ class Guideway:
     Attributes:
         joint: The actuated joint.
         q: Actuated positions (N,) [m].
-        origin: `P_0` (3,) [m], where the line is at q = 0.
+        origin: `P_0` (3,) [m], the point of the line at q = 0.
         slope: `v` (3,), metres of travel per metre of q.
-        covariance: Of `slope` (3, 3).
+        covariance: Covariance of `slope` (3, 3).
         along: `e_par` (N,) [m].
         across: `e_perp` (N, 3) [m].
-        bow: Rise of the middle over the ends [m], across the guideway.
-        shape: p-value of the guideway having no slow shape across.
+        bow: Offset of the middle from the ends [m], across the guideway.
+        shape: p-value of the hypothesis that the guideway has no slow shape across.
         cycle: The strongest cycle along the motion; None with too few points.
-        backlash: What changes with the direction of travel [m]; None where all points were approached from one side.
-        points: Where the cart was measured (N, 3) [m].
+        backlash: Difference between the directions of travel [m]; None if all points were approached from one side.
+        points: Measured positions of the cart (N, 3) [m].
     """
 
     joint: str

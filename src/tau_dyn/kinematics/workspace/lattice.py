@@ -71,7 +71,7 @@ def build_lattice(lower: np.ndarray, upper: np.ndarray, through: np.ndarray, ste
 
     Args:
         lower: Corner of the box (3,) [m].
-        upper: Opposite corner; an axis where both agree is flat.
+        upper: Opposite corner; an axis with equal coordinates is flat.
         through: A place in the box (3,) [m].
         step: Finest distance of neighbours [m].
         stride: Coarsest distance in steps, a power of two.

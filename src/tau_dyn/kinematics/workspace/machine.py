@@ -20,7 +20,7 @@ from tau_dyn.robot import Robot
 
 _SAMPLES = 4000
 """Random positions from which a robot's reach is estimated."""
-_TURNED = 1e-6  # [rad] a tool turned by more than this is not in the orientation asked for
+_TURNED = 1e-6  # [rad] a tool turned by more than this misses the requested orientation
 _MAX_WAVES = 300  # in which inverse kinematics spreads from solved poses
 _ABOUT, _PROBES = 0.25, 20  # share of the travel about home, and positions, at which the tool's twist is looked at
 _STILL = 1e-9  # [m/s or rad/s per actuated speed] a tool slower than this does not move
@@ -319,7 +319,7 @@ class LegsWorkspaceModel(WorkspaceModel):
         return InverseSolution(found.q, found.ok, found.reason, poses, turned)
 
     def rates(self, q: np.ndarray, poses: Poses) -> Rates:
-        """Return the closure's derivatives about the tool as rates, a row a leg."""
+        """Return the closure's derivatives about the tool as rates, one row per leg."""
         by_pose, by_q = self.kinematics.closure_by_pose(q, poses), self.kinematics.closure_by_q(q, poses)
         return Rates(-by_pose, by_q, self._turns, self.length)
 
@@ -334,7 +334,7 @@ class LegsWorkspaceModel(WorkspaceModel):
         """Return `bodies` at these poses."""
         legs, plate = self._legs, self._legs.plate_poses(poses)
         start, end = legs.base_points(q), legs.plate_points(plate)
-        x = np.zeros((self.robot.model.nv, len(q)))  # the tree places only what actuated joints alone carry
+        x = np.zeros((self.robot.model.nv, len(q)))  # the tree places only solids on actuated joints alone
         x[self.robot.active_v] = (self.robot.drive_scale * q).T
         at = compute_frames(self._joints, x) if self._joints else None
         out = []

@@ -146,7 +146,7 @@ _MAX_ELASTIC_PLACES = 400
 
 
 class Extreme(NamedTuple):
-    """Where a quantity is least or largest.
+    """Place where a quantity is least or largest.
 
     Attributes:
         place: Position of the tool (3,) [m], or its commanded coordinates.
@@ -158,13 +158,13 @@ class Extreme(NamedTuple):
 
 
 class CatalogueRow(NamedTuple):
-    """One quantity over the workspace, in SI; nan where it is unknown.
+    """One quantity over the workspace, in SI; nan if it is unknown.
 
     Attributes:
         spread: Least, median and largest value.
         home: Value at home.
-        least: Where it is least, or None.
-        largest: Where it is largest, or None.
+        least: Place of the least value, or None.
+        largest: Place of the largest value, or None.
         home_ci95: 95 % interval of the value at home, or None.
     """
 
