@@ -85,7 +85,7 @@ def identify(robot: Robot | str | Path, logs: Logs, *, controller: Controller = 
         **options: Those of `tau_dyn.identify.identify`, or of `tau_dyn.servo.LoopOptions`.
 
     Raises:
-        InputError: A log, the model, the law or a choice is at fault.
+        InputError: A log, the model, the law or a choice is invalid.
         CannotAnswer: The logs determine no parameter.
 
     Example:
@@ -132,7 +132,7 @@ def diagnose(
         **options: Those of `tau_dyn.diagnose.diagnose`, or of `tau_dyn.servo.LoopOptions`.
 
     Raises:
-        InputError: A log, the model, the law or a choice is at fault.
+        InputError: A log, the model, the law or a choice is invalid.
         CannotAnswer: The logs determine no parameter, or are too short for three parts.
 
     Example:

@@ -88,7 +88,7 @@ def _restore(kind: type[TauDynError], args: tuple[Any, ...], state: dict[str, An
 
 
 class InputError(TauDynError, ValueError):
-    """The input is at fault; the message names the place and the remedy.
+    """The input is invalid; the message names the place and the remedy.
 
     Example:
         >>> td.load_robot("gantry_tua")

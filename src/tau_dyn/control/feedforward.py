@@ -119,7 +119,7 @@ class Feedforward:
         return self.forces(np.atleast_2d(q), np.atleast_2d(v), np.atleast_2d(a), felt).reshape(q.shape)
 
     def forces(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, felt: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return forces (N, na) at states and signals (N, na) that are taken as they are; `__call__` checks them first."""
+        """Return forces (N, na) at states and signals (N, na) without checks; `__call__` checks them first."""
         by_joint, turning, scaling = self._parts_with(frozenset(felt))
         needs = {name for e in turning.effects for name in e.needs}
         motion = by_joint.motion(q, v, a, signals=felt, needs=needs)

@@ -1,4 +1,4 @@
-r"""Elimination of ground forces from the equations of a floating base: contacts are closures that come and go.
+r"""Elimination of ground forces from the equations of a floating base: contacts are loop closures that change with time.
 
     M a + h = tau + J' f,   tau = 0 for the base,   J' stacked over the contacts of this sample
 

@@ -191,7 +191,7 @@ def identify_fleet(
         progress: Called with a word for each step.
 
     Raises:
-        InputError: A log or a choice is at fault.
+        InputError: A log or a choice is invalid.
         CannotAnswer: There are fewer than three units, or no parameter is determined by three of them.
     """
     if len(units) < MIN_UNITS:

@@ -47,7 +47,7 @@ class GrowingFile:
         """Yield segments of the recording until it has ended, or the user interrupts.
 
         Raises:
-            InputError: The file is not text, or a line is at fault.
+            InputError: The file is not text, or a line is invalid.
         """
         if self.path.suffix.lower() not in (".csv", ".txt", ".tsv", ".dat"):
             raise InputError(

@@ -230,7 +230,7 @@ def identify_payload(
         progress: Called with a word for each step.
 
     Raises:
-        InputError: A log or the link is at fault.
+        InputError: A log or the link is invalid.
         CannotAnswer: The logs are too short or have too little motion; the error proposes a sufficient motion.
     """
     model = robot if isinstance(robot, Model) else build_model(robot, "asymmetric")

@@ -323,7 +323,7 @@ def watch_logs(
         alarm: Called with each alarm as soon as it is complete.
 
     Raises:
-        InputError: A log is at fault.
+        InputError: A log is invalid.
         CannotAnswer: The logs are not longer than the reference.
     """
     watch = Watch(model, reference_s, exclude=exclude)
@@ -335,7 +335,7 @@ def watch_logs(
 
 
 def fit_noise(blocks: Sequence[_Block]) -> list[Autoregression]:
-    """Return each joint's noise model, of the residual without the directions."""
+    """Return each joint's noise model, fitted to the residual without the directions."""
     D, na = blocks[0].X.shape[2], blocks[0].e.shape[1]
     found = []
     W = np.concatenate([block.X[block.usable] for block in blocks])
@@ -352,7 +352,7 @@ def fit_noise(blocks: Sequence[_Block]) -> list[Autoregression]:
 
 
 def compute_score(block: _Block, noise: Sequence[Autoregression]) -> BlockScore:
-    """Return a block's score and information, its rows made white on their own."""
+    """Return a block's score and information; its rows are whitened without those of other blocks."""
     run = RegressionRun(block.log, block.t, block.X, block.e, block.usable, block.X, block.e)
     whiten = Whitener.of([run], [block.usable], noise)
     e, X = whiten([block.e]), whiten([block.X])

@@ -151,7 +151,7 @@ def _judge(
 
 Action = Literal["learn", "change", "floor", "stop"]
 
-_WORSE = 1.05  # of the best trial's error: beyond, learning goes on from the best one
+_WORSE = 1.05  # of the best trial's error: beyond it, learning continues from the best one
 _GAINED = 0.95  # of the error: a median above it is no improvement
 _MISSES = 2  # in a row above the interval, until learning stops
 _TRIALS_FOR_A_FLOOR = 3  # fewer do not separate noise from a response that depends on the change

@@ -1,10 +1,11 @@
 r"""Iterative learning control: repeat a motion and update a correction of its reference from the last error (thesis chapter 7).
 
-Convergence is checked before any motion (thesis 7.15 to 7.17, Figures 7.14 and 7.17). With `H = Q (I - L (F_u + F_y T_uy))` over
-a whole trial, corrections converge if and only if the spectral radius of H is below 1, (7.15). They come closer to their limit
-in every single iteration if the largest singular value of H is below 1, (7.16). For a long trial the condition holds frequency
-by frequency: `|1 - L (F_u + F_y T_uy)| < 1 / |Q|` [Norrlof & Gunnarsson 2002]. A frequency that violates it grows from trial to
-trial. A law that is stable but not monotone may cause large errors before it converges: it is refused unless requested.
+Convergence is checked before any motion (thesis 7.15 to 7.17, Figures 7.14 and 7.17). With `H = Q (I - L (F_u + F_y T_uy))`
+over a whole trial, corrections converge if and only if the spectral radius of H is below 1, (7.15). They come closer to their
+limit in every single iteration if the largest singular value of H is below 1, (7.16). For a long trial the equivalent
+condition at each frequency is `|1 - L (F_u + F_y T_uy)| < 1 / |Q|` [Norrlof & Gunnarsson 2002]. A frequency that violates it
+grows from trial to trial. A law that is stable but not monotone may cause large errors before it converges: it is refused
+unless requested.
 """
 
 from __future__ import annotations

@@ -18,9 +18,9 @@ that P_h removed starts with one sample of acceleration, `T A`. (As printed, (8.
 that was applied, the force controller's share included, as in (8.6).
 
 The impedance is passive: along one axis, with a = 1 - T D / M, the response from the hand's force F(k) to the next velocity
-V(k + 1) is `(T / M) z / (z - a)`. Its real part has the sign of `1 - a cos(w T)`: above zero at every frequency while |a| <
-1, so no motion of the hand draws energy from the robot. With the additional sample of the printed index it would have the
-sign of `cos(w T) - a`, below zero over most frequencies. `settings.py` refuses M that is not positive definite, D with a
+V(k + 1) is `(T / M) z / (z - a)`. Its real part has the sign of `1 - a cos(w T)`: above zero at every frequency while
+`|a| < 1`, so no motion of the hand draws energy from the robot. With the additional sample of the printed index it would have
+the sign of `cos(w T) - a`, below zero over most frequencies. `settings.py` refuses M that is not positive definite, D with a
 negative part, and T M^-1 D of 1 or more. A projection and a velocity limit take energy away.
 
 The projections P_h and P_t of Dressler 2012, (8.3), (8.8)-(8.11), select the part of each velocity reference for the robot.

@@ -268,7 +268,7 @@ class Along(Coordinates):
         return _chained(self.path.q, x, dx, ddx, T)
 
     def along(self, s: np.ndarray, ds: np.ndarray, dds: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return them as they are."""
+        """Return them unchanged."""
         return s[:, None], ds[:, None], dds[:, None]
 
 

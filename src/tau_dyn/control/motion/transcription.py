@@ -15,8 +15,8 @@ unknowns, `u = A w`. With `J_k` and `H_k` the derivatives at one place,
 
     Jacobian = diag(J_k) A,   Hessian of the Lagrangian = A' diag(H_k) A,
 
-need one small function at every place and two sparse products. The default of casadi colours the whole program's Hessian,
-which takes several times as long (measured in docs/explanation/control.md).
+need one small function at every place and two sparse products. Without this structure, casadi colours the whole program's
+Hessian, which takes several times as long (measured in docs/explanation/control.md).
 """
 
 from __future__ import annotations

@@ -98,7 +98,7 @@ class ComplementaryToolObserver:
     def standard_error(self, kinematic_noise: float | np.ndarray, acceleration_noise: float | np.ndarray) -> np.ndarray:
         """Return the estimate's standard deviation (m,) [m] from white noise of both sensors [m], [m/s^2].
 
-        It does not contain errors of both models (deflection below the cutoff, errors of the accelerometer above it).
+        It does not contain systematic errors (deflection below the cutoff, errors of the accelerometer above it).
         """
         f = (np.arange(4096) + 0.5) / 8192 / self.dt
         slow, fast = self.responses(f)

@@ -10,7 +10,7 @@ The output of the thesis' (7.22) is `Cz x(t|t-1)`, the estimate before the prese
 Process noise. The thesis uses `R1 = r I`, which depends on the choice of the state coordinates, and treats position, velocity
 and acceleration of the tool as if disturbed independently. Here unknown forces disturb the states: they change velocities, so
 the position moves one step later, and velocity and acceleration follow by the same differences. The directions in state space
-are weighted with their controllability from the input, and those with an immediate change of position are removed:
+are weighted with the controllability Gramian of the input, and those with an immediate change of position are removed:
 `R1 = r E G G' E'`, where `r` is the mean square of the position change by the next step, caused by one step's force [m^2].
 Reference: Astrom & Wittenmark 1997, ch. 11; Anderson & Moore 1979, Optimal Filtering, ch. 4.
 

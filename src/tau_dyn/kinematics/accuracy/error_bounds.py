@@ -137,7 +137,7 @@ def read_errors_file(path: str | Path, actuated: Sequence[str], rods: Sequence[s
         rods: Names of the rods; empty for a serial arm.
 
     Raises:
-        InputError: The file is not such a file; a name, a key or a number is wrong.
+        InputError: The file is not an errors file, or a name, a key or a number is wrong.
     """
     where, content = str(path), read_yaml(path)
     if not isinstance(content, dict) or not content or not set(content) <= {"actuators", "rods"}:

@@ -297,7 +297,7 @@ def sample_default_motion(robot: Robot, n: int) -> tuple[np.ndarray, Poses] | No
 def sample_motion(robot: Robot, n: int) -> np.ndarray:
     """Return at least n positions (m, na) [m or rad], evenly over all actuators' ranges.
 
-    An actuator without limits goes a quarter turn or 0.5 m to each side of home.
+    An actuator without limits moves by a quarter turn or 0.5 m to each side of home.
     """
     reach = np.where(np.array(robot.joint_kinds) == "revolute", np.pi / 2, 0.5)
     low = np.where(np.abs(robot.lower) < UNLIMITED, robot.lower, robot.home - reach)

@@ -4,13 +4,13 @@ Parallelepiped (A.4): its faces are orthogonal to the rods with distances `2 h_k
 error along the rod. The sum of the diagonals' squares is `4 sum h_k^2 (C C')^-1_kk`, at least `4 sum h_k^2` as the rows of C
 have length one: orthogonal rods have the smallest worst case, as stated in A.4, for unequal errors too.
 
-Ellipsoids (A.2): rod k's free end is between two ellipsoids around the nominal base point, with semi-axes `L_k -+ r_k,i` along
-the base error's own axes. For each of the 2^n corners one ellipsoid per rod is chosen and three steps are repeated: project the
-end's current position on its ellipsoid along the ray from the centre, compute the tangent plane there, intersect the planes
-(steps 1 to 6; here also for plates that turn). These ellipsoids are too small. The end's exact outer limit is the parallel
-surface of the error ellipsoid, at the distance `sqrt(sum r_i^2 u_i^2)` outside the sphere along a unit direction u. The
-ellipsoid `L + r_i` is only `sum r_i u_i^2` outside: equal on the axes and for a ball, too small in all other directions, to
-first order. `worst_case.py` has the exact limit.
+Ellipsoids (A.2): rod k's free end is between two ellipsoids around the nominal base point, with semi-axes `L_k -+ r_k,i`
+along the base error's own axes. For each of the 2^n corners one ellipsoid per rod is chosen and three steps are repeated:
+project the end's current position on its ellipsoid along the ray from the centre, compute the tangent plane there, intersect
+the planes (steps 1 to 6; here also for plates that turn). The shell between the ellipsoids is too thin. The end's exact outer
+limit is the parallel surface of the error ellipsoid, at the distance `sqrt(sum r_i^2 u_i^2)` outside the sphere along a unit
+direction u. The ellipsoid `L + r_i` is only `sum r_i u_i^2` outside: equal on the axes and for a ball, too small in all other
+directions, to first order. `worst_case.py` has the exact limit.
 
 Certified bound: with w = B - A, |w| = L and D the whole change of w, `|w + D| = L + l` is exactly
 

@@ -3,11 +3,11 @@
 Lines must be measured in one frame. With unit directions d_i, the small angle's vector is `d_i x d_j`; its component along the
 lines is no angle, so two numbers are tested (chi-squared).
 
-If all actuators move together along the guideways, the rods do not turn. So wrong rod lengths or joint positions do not
-change the orientation along the guideways, but from one place across the guideways to another. Carts that turn do the
-opposite (Figure 4.7). The rotation vector against the mean orientation is split by least squares into a part for each place
-across (`q` minus its mean), a part for each layer along (the measured position along the direction in which poses of one
-place follow the mean of `q`), and a residual. Each part is tested with the other one in the model (two-way analysis of
+If all actuators move together along the guideways, the rods do not turn. So the effect of wrong rod lengths or joint
+positions on the orientation is constant along the guideways, but differs between places across them. Carts that turn have the
+opposite effect (Figure 4.7). The rotation vector against the mean orientation is split by least squares into a part for each
+place across (`q` minus its mean), a part for each layer along (the measured position along the direction in which poses of
+one place follow the mean of `q`), and a residual. Each part is tested with the other one in the model (two-way analysis of
 variance).
 """
 

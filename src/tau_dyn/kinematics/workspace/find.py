@@ -145,7 +145,7 @@ def leave_singular_home(machine: WorkspaceModel, demands: PoseRequirements | Non
     return build_machine(replace(robot, home=q[few[np.argmin(condition[few])]]))
 
 
-_MAX_BENT = 8  # joints; 3^8 postures are looked at in a tenth of a second
+_MAX_BENT = 8  # joints; 3^8 postures are evaluated in a tenth of a second
 _GOOD_CONDITION = 30.0  # of a Jacobian with lengths in the robot's own; below it the tool moves and turns everywhere
 
 

@@ -1,9 +1,9 @@
 """A lattice of points in a box, refined along the border of a set, and the set's size.
 
-Classification starts on a coarse lattice. A cell with corners inside and outside the set is divided; a cell with equal corners is
-filled without evaluation. If a point evaluated later contradicts a filled cell, that cell is divided too, so a border is followed
-once it is found. At the end random filled points are evaluated: they find parts of the set that are smaller than a coarse cell,
-and bound the share that may still be missed (no error in n points: below 3 / n with 95 %).
+Classification starts on a coarse lattice. A cell with corners inside and outside the set is divided; a cell with equal
+corners is filled without evaluation. If a point evaluated later contradicts a filled cell, that cell is divided too, so a
+border is followed once it is found. At the end random filled points are evaluated: they find parts of the set and holes that
+are entirely within a coarse cell, and bound the share that may still be missed (no error in n points: below 3 / n with 95 %).
 
 Cells with all corners inside count as inside, cells with all corners outside as outside. The others are undecided: half of their
 volume is the bound, which shrinks with h. The share of filled points that may be wrong widens it:
@@ -149,7 +149,7 @@ def classify_lattice(lattice: Lattice, classify: Classify, *, probes: int = 1500
 
 
 def combine_cells(corners: np.ndarray, reduce: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
-    """Return one value a cell from the values at its corners, such as `np.minimum` or `np.add` of them."""
+    """Return one value per cell from the values at its corners, such as their `np.minimum` or `np.add`."""
     for axis, n in enumerate(corners.shape):
         if n > 1:
             low = np.take(corners, range(n - 1), axis)

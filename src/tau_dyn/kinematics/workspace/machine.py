@@ -22,7 +22,7 @@ _SAMPLES = 4000
 """Random positions from which a robot's reach is estimated."""
 _TURNED = 1e-6  # [rad] a tool turned by more than this misses the requested orientation
 _MAX_WAVES = 300  # in which inverse kinematics spreads from solved poses
-_ABOUT, _PROBES = 0.25, 20  # share of the travel about home, and positions, at which the tool's twist is looked at
+_ABOUT, _PROBES = 0.25, 20  # share of the travel about home, and positions, at which the tool's twist is evaluated
 _STILL = 1e-9  # [m/s or rad/s per actuated speed] a tool slower than this does not move
 _MAX_STEPS = 30  # of Newton's method to commanded coordinates; from a neighbour five do
 _SHRINKS = 0.5  # of the deviation that each of them may leave; from a neighbour it leaves far less

@@ -49,7 +49,7 @@ class PoseRequirements:
         clearance: Distance that solids of the robot keep from each other [m].
         condition: Largest condition number.
         singularity: Least distance to a singularity, in singular values of the homogenised closure; 0 requires only the sign
-            of home.
+            of the determinant at home.
         border: Distance to keep from the workspace's border [m].
         actuators: Whether actuator limits count.
     """
