@@ -352,7 +352,7 @@ def fit_noise(blocks: Sequence[_Block]) -> list[Autoregression]:
 
 
 def compute_score(block: _Block, noise: Sequence[Autoregression]) -> BlockScore:
-    """Return a block's score and information; its rows are whitened without those of other blocks."""
+    """Return a block's score and information; the rows of each block are whitened separately."""
     run = RegressionRun(block.log, block.t, block.X, block.e, block.usable, block.X, block.e)
     whiten = Whitener.of([run], [block.usable], noise)
     e, X = whiten([block.e]), whiten([block.X])

@@ -153,7 +153,7 @@ class LeadThroughSettings:
         force_limit: Force on the tool above which no command presses further and the tool gives way [N].
         contact_stiffness: The stiffest contact to expect, tool, sensor and work in series [N/m].
         contact_damping: Its damping [N s/m].
-        watch: Whether the gain is lowered if the contact is stiffer than stable (`sensing.py`).
+        watch: Whether the gain is lowered if the contact is too stiff for it (`sensing.py`).
         turning_stiffness: Largest stiffness against turning about the tool point [N m/rad]; needed if the tool may turn.
         hand_stiffness: The stiffest hand to expect [N/m].
         locked_axis: Axis in the tool's frame (3,) about which the tool must not turn, or None.

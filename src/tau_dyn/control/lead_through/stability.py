@@ -1,4 +1,4 @@
-r"""Stability limit of a force loop: the stiffest contact, or the highest gain, at which it does not oscillate.
+r"""Stability limit of a force loop: the contact stiffness, or the gain, at which it begins to oscillate.
 
 Along one axis the tool has position x, speed v and a servo that follows a velocity command u with bandwidth w_b. The
 command is held over a sample T, so the plant is known exactly at the samples,

@@ -285,7 +285,7 @@ def _spline(spline: BSpline, x: Any) -> Any:
     return import_casadi().bspline(x, coefficients, [spline.t.tolist()], [int(spline.k)], spline.c.shape[1])
 
 
-_FLAT = 1e-3  # share of the largest inner unknown: smaller ones are scaled by it
+_FLAT = 1e-3  # share of the largest inner unknown: least scale of all of them
 
 
 @dataclass(frozen=True, eq=False)
