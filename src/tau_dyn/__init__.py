@@ -1,4 +1,4 @@
-"""Identify robot dynamics from torque logs, closed loops included, name what the model leaves out, and say how far to trust it.
+"""Identify robot dynamics from torque logs, kinematic loops included; find unmodelled effects and state the uncertainty.
 
 robot = load_robot("gantry_tau", prototype="l1")
 found = identify(robot, read_log("monday.csv"), holdout=read_log("tuesday.csv"))

@@ -1,4 +1,4 @@
-"""`python -m tau_dyn`: the command line, also where its script is not on the path."""
+"""`python -m tau_dyn`: the command line, also if its script is not on the path."""
 
 import sys
 

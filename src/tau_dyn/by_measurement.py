@@ -1,4 +1,4 @@
-"""`identify` and `diagnose` for whatever logs hold: forces, or commands and positions without forces."""
+"""`identify` and `diagnose` for logs with forces, or with commands and positions but without forces."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ _NOT_SAID: Any = object()
 
 
 class ForceOptions(TypedDict, total=False):
-    """What may be said of logs of forces; everything may be left out.
+    """Options for logs of forces; each has a default.
 
     Attributes:
-        holdout: Logs to judge on.
+        holdout: Logs for the evaluation only.
         model: `rigid`, `symmetric`, `asymmetric`, a model file, or a model.
-        choices: What is fixed, free, bounded or measured beforehand.
+        choices: Parameters that are fixed, free, bounded or measured in advance.
         preparation: Filters and masks; by default chosen from the training logs.
         exclude: Log columns whose nonzero samples are left out.
-        seed: Seed of whatever is random.
+        seed: Seed of all random numbers.
         progress: Called with a word for each step.
     """
 
@@ -80,13 +80,13 @@ def identify(robot: Robot | str | Path, logs: Logs, *, controller: Controller = 
         robot: The robot, with nominal parameters; or its file's path, or a short name.
         logs: Training logs with `q_J` and `tau_J` of every actuated joint; or with `q_J` and `cmd_J` and no force. Each is a log,
             the path of a file, or a table of pandas.
-        controller: The servo's law or its file, for logs without forces; None to estimate its gains. Saying it, be it
-            None, tells a type checker that the answer is a `LoopIdentification`.
+        controller: The servo's law or its file, for logs without forces; None to estimate its gains. If it is passed, even as
+            None, type checkers infer a `LoopIdentification`.
         **options: Those of `tau_dyn.identify.identify`, or of `tau_dyn.servo.LoopOptions`.
 
     Raises:
-        InputError: A log, the model, the law or a choice is at fault.
-        CannotAnswer: The logs determine nothing.
+        InputError: A log, the model, the law or a choice is invalid.
+        CannotAnswer: The logs determine no parameter.
 
     Example:
         >>> t, w = np.arange(0.0, 10.0, 0.005), np.array([[3.0], [7.0]])
@@ -123,17 +123,17 @@ def diagnose(
     controller: Controller = _NOT_SAID,
     **options: Any,
 ) -> Any:
-    """Find out what a simulation gets wrong, and why, from logs of forces or, without forces, through the servo loops.
+    """Find the errors of a model and their causes, from logs of forces or, without forces, through the servo loops.
 
     Args:
         robot: The robot, its file's path or a short name; or an identification, whose logs (and law) are then taken.
         logs: Logs to train on, with `q_J` and `tau_J` of every actuated joint; or with `q_J` and `cmd_J` and no force.
-        controller: The servo's law or its file, for logs without forces; None where nothing is known of it.
+        controller: The servo's law or its file, for logs without forces; None if it is unknown.
         **options: Those of `tau_dyn.diagnose.diagnose`, or of `tau_dyn.servo.LoopOptions`.
 
     Raises:
-        InputError: A log, the model, the law or a choice is at fault.
-        CannotAnswer: The logs determine nothing, or are too short for three parts.
+        InputError: A log, the model, the law or a choice is invalid.
+        CannotAnswer: The logs determine no parameter, or are too short for three parts.
 
     Example:
         >>> t, w = np.arange(0.0, 20.0, 0.005), np.array([[3.0], [7.0]])

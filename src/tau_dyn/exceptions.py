@@ -1,7 +1,7 @@
-"""Faults as sentences: every error a user can cause says what is wrong and what would be right.
+"""Errors as sentences: every error that a user can cause states the fault and its remedy.
 
-The command line prints the sentence and leaves with the class' `exit_status`: 2 for faulty input, 3 for data that
-cannot answer, 1 for a defect of ours.
+The command line prints the sentence and exits with the class' `exit_status`: 2 for faulty input, 3 for data that
+cannot answer, 1 for a defect of this package.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from typing import Any
 
 MAX_MESSAGE_CHARACTERS = 1000
-"""Characters of a message; what a file holds may be quoted in it, and has no end."""
+"""Largest length of a message; it may quote a file, whose content has any length."""
 
 
 def format_one_line(text: str) -> str:
@@ -25,9 +25,9 @@ def format_one_line(text: str) -> str:
 
 
 def suggest_nearest(word: str, known: Iterable[str]) -> str:
-    """Return a question about the nearest known word, in brackets, capitals aside.
+    """Return a question about the nearest known word, in brackets; case is ignored.
 
-    It is empty where none is near, or where only its number differs.
+    It is empty if no word is near, or if only its number differs.
     """
     plain = {name.lower(): name for name in known}
     near = difflib.get_close_matches(word.lower(), plain, n=1, cutoff=0.7)
@@ -35,7 +35,7 @@ def suggest_nearest(word: str, known: Iterable[str]) -> str:
 
 
 def _sort_nearest(word: str, known: Iterable[str]) -> list[str]:
-    """Return all known words: those that are near first, capitals aside, then the others in their order."""
+    """Return all known words: near ones first (case is ignored), then the others in their order."""
 
     def likeness(name: str) -> float:
         ratio = difflib.SequenceMatcher(None, name.lower(), word.lower()).ratio()
@@ -68,7 +68,7 @@ class TauDynError(Exception):
     exit_status = 1
 
     def __init__(self, code: str, sentence: str) -> None:
-        """Keep the code beside the sentence."""
+        """Store the code and the sentence."""
         self.code = code
         super().__init__(sentence)
 
@@ -77,7 +77,7 @@ class TauDynError(Exception):
         return format_one_line(str(self.args[0]))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Travel between processes whatever arguments the constructor takes."""
+        """Support transfer between processes, independent of the constructor's arguments."""
         return _restore, (type(self), self.args, self.__dict__)
 
 
@@ -88,7 +88,7 @@ def _restore(kind: type[TauDynError], args: tuple[Any, ...], state: dict[str, An
 
 
 class InputError(TauDynError, ValueError):
-    """The input is at fault; the message names the place and what would be right.
+    """The input is invalid; the message names the place and the remedy.
 
     Example:
         >>> td.load_robot("gantry_tua")
@@ -100,10 +100,10 @@ class InputError(TauDynError, ValueError):
 
 
 class UnknownName(InputError, KeyError):
-    """A name that does not exist; the message lists those that do, of many the nearest first."""
+    """A name that does not exist; the message lists the existing names, the nearest first if there are many."""
 
     def __init__(self, kind: str, name: object, known: Iterable[object], where: str = "", more: str = "") -> None:
-        """Build the sentence from the kind of thing, the name asked for, the names that exist, and what else would help."""
+        """Build the sentence from the kind of thing, the requested name, the existing names, and further advice."""
         names = [str(k) for k in known]
         listed = ", ".join(names if len(names) <= 12 else _sort_nearest(str(name), names)[:12])
         listed += f" and {len(names) - 12} more" if len(names) > 12 else ""
@@ -122,7 +122,7 @@ class LoopClosureError(InputError):
 
 
 class CannotAnswer(TauDynError):
-    """The data are sound but cannot answer the question; carries what is missing and the experiment that would tell.
+    """The data are sound but cannot answer the question; the error states the missing information and an experiment to get it.
 
     Example:
         >>> t = np.arange(0.0, 5.0, 0.01)
@@ -136,8 +136,8 @@ class CannotAnswer(TauDynError):
     exit_status = 3
 
     def __init__(self, code: str, missing: str, experiment: str) -> None:
-        """Keep both halves of the sentence: what is missing, and the experiment that would give it."""
+        """Store both halves of the sentence: the missing information and the experiment to obtain it."""
         self.missing = missing
         self.experiment = experiment
-        self.warnings: tuple[str, ...] = ()  # what was doubtful on the way here; often the reason
+        self.warnings: tuple[str, ...] = ()  # doubts found before the error; often its reason
         super().__init__(code, f"{missing}; {experiment}")

@@ -1,4 +1,4 @@
-"""Files read within bounds, files that appear whole or not at all, YAML read safely, hashes; every fault becomes a sentence."""
+"""Bounded reading of files, atomic writing, safe reading of YAML, hashes; every fault is reported in a sentence."""
 
 from __future__ import annotations
 
@@ -51,15 +51,15 @@ _PATIENCE = 10.0
 
 
 def read_bytes(path: str | Path, most: int | None = None) -> bytes:
-    """Read a file, or a pipe that somebody writes into; never wait for what does not come.
+    """Read a file, or a pipe with a writer; a pipe that stays silent is refused after a time limit.
 
     Args:
         path: A regular file, a link to one, or a pipe such as `/dev/stdin`.
         most: Largest size [bytes]; None for any.
 
     Raises:
-        InputError: A device, a socket, a silent pipe, or larger than `most`.
-        OSError: What `open` says of other faults.
+        InputError: The path is a device, a socket or a silent pipe, or the file is larger than `most`.
+        OSError: Other faults that `open` reports.
     """
     if os.path.isdir(path):
         raise IsADirectoryError(21, "is a folder", str(path))
@@ -104,15 +104,15 @@ def compute_joint_sha256(digests: Iterable[str]) -> str:
 
 
 class PlainLoader(yaml.SafeLoader):
-    """YAML as plain data: no code, no aliases that grow without end, nobody else's tags.
+    """YAML as plain data: no code, no aliases that grow without bound, no foreign tags.
 
-    xacro adds tags that evaluate expressions to PyYAML's own safe loader; this one has a table of its own.
+    xacro adds tags that evaluate expressions to PyYAML's own safe loader; this class has its own table of tags.
     """
 
     yaml_constructors = yaml.SafeLoader.yaml_constructors.copy()
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-        """Build a mapping; the second of two equal keys would win without a word."""
+        """Build a mapping; refuse equal keys, of which PyYAML keeps the last one without a warning."""
         keys = Counter(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
         for key, times in keys.items():
             if times > 1:
@@ -126,7 +126,7 @@ class PlainLoader(yaml.SafeLoader):
         super().fetch_flow_collection_start(TokenClass)
 
     def whole_number(self, node: Any) -> int | float:
-        """Read a whole number; beyond all floats it is infinite, as one with an exponent is, for nobody expects others."""
+        """Read a whole number; beyond the range of floats it is infinite, like a number with an exponent."""
         whole = int(self.construct_yaml_int(node))
         return whole if abs(whole) <= float_info.max else (inf if whole > 0 else -inf)
 
@@ -162,7 +162,7 @@ def _written_out(node: Any, known: dict[int, int], above: set[int]) -> int:
 
 
 YAML_FAULTS = (yaml.YAMLError, ValueError, ArithmeticError, LookupError, TypeError, AttributeError, RecursionError)
-"""What PyYAML raises of bad YAML: its own errors; others for `2026-13-01`, `!!int ''`, `!!timestamp soon`, `1:2:..` too long."""
+"""Exceptions of PyYAML for bad YAML: its own, and others for `2026-13-01`, `!!int ''`, `!!timestamp soon`, long `1:2:..`."""
 
 
 def read_yaml(path: str | Path) -> Any:
@@ -172,7 +172,7 @@ def read_yaml(path: str | Path) -> Any:
 
 
 def format_yaml(path: str | Path) -> str:
-    """Return the text of a YAML file that somebody else's loader may read: nothing in it takes long or grows without end."""
+    """Return the text of a YAML file for another loader; it is checked first, so that reading time and size are bounded."""
     with _yaml_of(path) as text:
         yaml.compose(text, Loader=PlainLoader)
         return text
@@ -196,10 +196,10 @@ def _yaml_of(path: str | Path) -> Iterator[str]:
 
 
 def resolve_destination(path: str | Path) -> Path:
-    """Return where a file to be written lies: behind links, but a pipe or a device as it was named.
+    """Return the path of a file to be written: links are followed, but a pipe or a device keeps its name.
 
     Raises:
-        InputError: A link leads to itself, or the folder that we are in is gone.
+        InputError: A link leads to itself, or the current folder does not exist any more.
     """
     path = Path(path)
     try:
@@ -220,9 +220,10 @@ def resolve_destination(path: str | Path) -> Path:
 
 @contextmanager
 def write_atomically(path: str | Path) -> Iterator[Path]:
-    """Give a temporary file to write; it takes the place of `path` when the block ends well, and goes away when it does not.
+    """Give a temporary file to write; it replaces `path` if the block succeeds and is removed if the block fails.
 
-    What a killed process left beside `path` goes away too. An existing file keeps its permissions; a write-protected one stays.
+    Files that a killed process left next to `path` are removed too. An existing file keeps its permissions; a
+    write-protected one is not replaced.
 
     Raises:
         InputError: The destination cannot be written.
@@ -273,7 +274,7 @@ def get_owner_name() -> str:
 
 
 def remove_stale_files(folder: Path, start: str) -> None:
-    """Remove what processes of this machine that are dead left behind: names `<start><owner>.<number>.part`."""
+    """Remove the files that dead processes of this machine left behind: names `<start><owner>.<number>.part`."""
     machine, _, _ = get_owner_name().rpartition("-")
     for left in folder.glob("*.part"):
         name, _, _ = left.name.removeprefix(start).partition(".")
@@ -291,7 +292,7 @@ def _settle(temporary: Path, path: Path) -> None:
 
 
 def _alive(process: int) -> bool:
-    """Tell whether a process of this machine lives; where that cannot be asked harmlessly, say that it does."""
+    """Return whether a process of this machine is alive; True if that cannot be tested without side effects."""
     if os.name != "posix":
         return True
     try:

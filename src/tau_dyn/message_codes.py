@@ -1,7 +1,7 @@
 """Codes of errors and warnings, each with cause and remedy: stable names for programs, while sentences may be reworded.
 
-An error's code stands in brackets behind its sentence, in `TauDynError.code` and, where the data cannot answer, as `code` in
-JSON. A `CodedWarning` is a `str` that carries its code, so every list of sentences may hold it: `warning_codes` in JSON stands
+The code of an error follows its sentence in brackets. It is also in `TauDynError.code` and, if the data cannot answer, under
+`code` in JSON. A `CodedWarning` is a `str` with a code, so every list of sentences may hold it: `warning_codes` in JSON is
 parallel to `warnings`. `docs/reference/message_codes.md` is made from these tables.
 """
 
@@ -11,11 +11,11 @@ from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple, Self
 
 UNCODED = "note"
-"""Code of a sentence that no program needs to tell from others."""
+"""Code of a sentence that no program needs to identify."""
 
 
 class CodedWarning(str):
-    """A sentence with a code, such as `lost_samples`, and the joints that it is about where a program needs them."""
+    """A sentence with a code, such as `lost_samples`, and the affected joints if a program needs them."""
 
     code: str
     joints: tuple[str, ...]
@@ -27,15 +27,15 @@ class CodedWarning(str):
         return made
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Keep code and joints where a result travels between processes."""
+        """Keep code and joints if a result is transferred between processes."""
         return CodedWarning, (self.code, str(self), self.joints)
 
 
 class RepairedWarning(CodedWarning):
-    """A fault whose samples were mended or left out: a note about the log, which biases no result."""
+    """A fault whose samples were repaired or left out: a note about the log; no result is biased."""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Keep code and class where a result travels between processes."""
+        """Keep code and class if a result is transferred between processes."""
         return RepairedWarning, (self.code, str(self), self.joints)
 
 
@@ -45,7 +45,7 @@ def get_code(sentence: str) -> str:
 
 
 def format_with_code(sentence: str) -> str:
-    """Return a warning with its code in brackets behind it; a plain sentence as it is."""
+    """Return a warning followed by its code in brackets; return a plain sentence unchanged."""
     code = get_code(sentence)
     return str(sentence) if code == UNCODED else f"{sentence} [{code}]"
 
@@ -66,7 +66,7 @@ def format_warnings(warnings: Iterable[str]) -> dict[str, Any]:
 
 
 class MessageCode(NamedTuple):
-    """What a code says, and what to do."""
+    """Cause and remedy of a code."""
 
     cause: str
     remedy: str
@@ -140,8 +140,7 @@ UNANSWERED_CODES: dict[str, MessageCode] = {
     "poor_excitation": MessageCode("the motion or force hardly changes", "move every joint faster, both ways"),
     "too_little_data": MessageCode("too few samples, poses or images", "record longer, or more"),
 }
-"""Codes of sound data that cannot answer; exit status 3. `too_little_data` comes with status 2 where a file cannot be used at
-all."""
+"""Codes of sound data that cannot answer; exit status 3. `too_little_data` has status 2 if a file is not usable at all."""
 
 DEFECT_CODES: dict[str, MessageCode] = {
     "workers_lost": MessageCode("processes of a study ended before their work", "run the item alone; more memory"),

@@ -1,7 +1,7 @@
-"""A model predicts actuated forces: a robot, the effects it is extended by, and a value for every parameter.
+"""A model predicts actuated forces: a robot, its additional effects, and a value for every parameter.
 
-It is what identification writes, what diagnosis extends, and what simulation and feedforward use. A model file is YAML
-that carries its own robot (the expanded URDF), so it needs neither the xacro nor its includes, and no code runs on loading.
+Identification writes a model, diagnosis extends it, simulation and feedforward use it. A model file is YAML that contains its
+robot (the expanded URDF), so it needs neither the xacro nor its includes, and no code runs on loading.
 """
 
 from __future__ import annotations
@@ -64,15 +64,15 @@ COMPUTED: dict[str, Callable[[Mechanism, np.ndarray, np.ndarray, np.ndarray], np
     "rigid_force": lambda mechanism, q, v, a: mechanism.inverse_dynamics(q, v, a),
     SHIFTED_FORCE: _compute_shifted_forces,
 }
-"""Signals of a motion that the mechanism gives."""
+"""Signals of a motion that the mechanism computes."""
 
 _FORCES = frozenset({"force", DELIVERED})
-"""Signals that are the force of the model without the effects that feel it."""
+"""Signals that are the force of the model without the effects that depend on it."""
 BY_STATE = frozenset({*COMPUTED, *_FORCES, "damping"})
 """Signals that a single state determines."""
 
 _SMALL = 1e-6
-"""Step of a speed over which friction's growth is taken, as a share of one and the speed [m/s or rad/s]."""
+"""Step of a speed for the slope of friction, as a share of one and the speed [m/s or rad/s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +83,8 @@ class Model(Shown):
         robot: The robot; its `parameters` hold the rigid-body values.
         effects: The effects beyond the rigid body.
         effect_parameters: Values of the effects' parameters, in the effects' order.
-        provenance: Where the values came from: logs and hashes, versions, seed.
-        controller: The servo's law that it was identified with, as a controller file holds it; empty for none.
+        provenance: Source of the values: logs and hashes, versions, seed.
+        controller: Servo law of the identification, in the form of a controller file; empty without a servo law.
 
     Example:
         >>> model = td.Model.of(td.load_robot("linear_axis")).with_values({"carriage_link.mass": 90.0})
@@ -155,7 +155,7 @@ class Model(Shown):
     def steady(self, signals: Iterable[str] = ()) -> Model:
         """Return the model with those of its effects whose force a single state determines, and the signals given with it.
 
-        What distorts a recording (a delay, an encoder's error) or asks for a history is left out.
+        Effects that distort a recording (a delay, an encoder's error) or need a history are left out.
         """
         given = BY_STATE | set(signals)
         return self.only(effect for effect in self.effects if not describe_missing_state(effect, given))
@@ -192,7 +192,7 @@ class Model(Shown):
             a: Accelerations (N, na).
             sign: Replaces `sign(v)` in friction (N, na).
             t: Time (N,) [s] of samples in order, evenly spaced; None for single states, in no order.
-            signals: What the effects feel and the model cannot compute, such as `temperature` (N, na) [degC].
+            signals: Inputs of the effects that the model cannot compute, such as `temperature` (N, na) [degC].
 
         Raises:
             InputError: An effect needs a signal that is not given, or acts on a recording while these are single states;
@@ -276,7 +276,7 @@ class Model(Shown):
         for name in sorted(wanted - set(found)):
             if name in COMPUTED:
                 found[name] = COMPUTED[name](self.mechanism, q, v, a)
-        if "damping" in wanted and "damping" not in found:  # before the force, of which what yields makes a part by it
+        if "damping" in wanted and "damping" not in found:  # before the force, which may depend on it
             found["damping"] = self.damping(Motion.of(self.robot.actuated, q, v, a, sign, t=t, signals=found))
         if missing := (wanted & _FORCES) - set(found):
             plain = self.only(e for e in self.effects if not _FORCES & set(e.needs))
@@ -287,7 +287,7 @@ class Model(Shown):
         return Motion.of(self.robot.actuated, q, v, a, sign, t=t, signals=found)
 
     def damping(self, motion: Motion) -> np.ndarray:
-        """Return how each joint's friction grows with its speed (N, na), the direction of motion kept."""
+        """Return the slope of each joint's friction over its speed (N, na), with the direction of motion fixed."""
         kept = self.only(e for e in self.effects if not {*_FORCES, "damping"} & set(e.needs))
         step = _SMALL * (1.0 + np.abs(motion.v))
         ahead, behind = (kept.effect_force(replace(motion, v=motion.v + d)) for d in (step, -step))
@@ -302,7 +302,7 @@ class Model(Shown):
         return force
 
     def _refuse_states(self, t: np.ndarray | None) -> None:
-        """Refuse single states where an effect acts on a recording."""
+        """Refuse single states if an effect acts on a recording."""
         odd = [effect.name for effect in self.effects if effect.measured] if t is None else []
         if odd:
             raise InputError(
@@ -311,7 +311,7 @@ class Model(Shown):
             )
 
     def save(self, path: str | Path) -> None:
-        """Write the model file; it appears whole or not at all."""
+        """Write the model file atomically."""
         content = {
             "tau_dyn_model": _FORMAT,
             "provenance": dict(self.provenance),
@@ -335,7 +335,7 @@ class Model(Shown):
         """Read a model file.
 
         Raises:
-            InputError: The file is missing, not YAML, or not a model of ours; the message names the entry.
+            InputError: The file is missing, not YAML, or not a model of this package; the message names the entry.
         """
         content = read_yaml(path)
         if not isinstance(content, dict) or content.get("tau_dyn_model") != _FORMAT:
@@ -375,7 +375,7 @@ def _expect(content: Mapping[str, Any], key: str, kind: type, where: str) -> Non
 
 
 def _find_source(source: str, model: Path) -> str:
-    """Return the path of a saved model's robot file: as saved, else from the model file's folder; as saved where it is gone."""
+    """Return the path of a saved model's robot file: as saved, or relative to the model file if only that one exists."""
     near = [model.parent / source, model.parent / Path(source).name]
     found = (str(path) for path in near if Path(source).suffix and not Path(source).is_file() and path.is_file())
     return next(found, source)

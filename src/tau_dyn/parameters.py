@@ -1,8 +1,8 @@
 """Named parameters: names <-> vector, with unit, bounds, fixed or free, uncertainty and origin.
 
-A `Parameter` is more than a number; `Parameters` is an ordered, immutable collection that turns names into vectors and
-back. A fixed parameter still reaches the model, it only leaves the solver's vector. Names follow the contract:
-`<link>.mass`, `<joint>.coulomb_pos`, ... Patterns are shell patterns (`*.armature`).
+`Parameters` is an ordered, immutable collection of `Parameter` that converts between names and vectors. A fixed parameter is
+part of the model, but not of the solver's vector. Names follow the contract: `<link>.mass`, `<joint>.coulomb_pos`, ...
+Patterns are shell patterns (`*.armature`).
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from tau_dyn.results import Shown, count, format_estimate
 
 _MAX_SHOWN = 10  # parameters in a `repr`
 MAX_VALUE = 1e15
-"""Largest value of a file [SI units], as of a log; beyond it sums of squares lose all other numbers."""
+"""Largest value in a file [SI units], as in a log; with larger values sums of squares lose all other numbers."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of a model and all that is known about it.
+    """One number of a model with unit, bounds, uncertainty and origin.
 
     Attributes:
         name: Contract name, `<owner>.<quantity>`.
@@ -37,9 +37,9 @@ class Parameter:
         prior_stderr: Standard deviation of `value` as prior knowledge [unit]; None for no knowledge (free) or
             for a value taken as exact (fixed).
         stderr: Standard error of an estimate [unit], None if it was not estimated.
-        origin: Where the value came from, in words.
-        split: Whether only a combination with other parameters was identified: the value is one of many that give the
-            same forces, and no estimate.
+        origin: Source of the value, in words.
+        split: Whether only a combination with other parameters was identified: the value is one of many with the same forces,
+            and is not an estimate.
     """
 
     name: str
@@ -54,7 +54,7 @@ class Parameter:
     split: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse numbers no solver could start from."""
+        """Refuse numbers from which no solver can start."""
         if not isfinite(self.value):
             raise InputError("invalid_value", f"parameter {self.name} must be a finite number, not {self.value}")
         if not self.lower <= self.upper:
@@ -64,7 +64,7 @@ class Parameter:
 
     @property
     def at_bound(self) -> bool:
-        """Whether the value sits on one of its bounds."""
+        """Whether the value is at one of its bounds."""
         scale = max(abs(self.value), 1e-12)
         return bool(abs(self.value - self.lower) < 1e-6 * scale or abs(self.value - self.upper) < 1e-6 * scale)
 
@@ -104,7 +104,7 @@ class Parameters(Shown):
         """Return the parameter of a name or a place, or those of a slice; `select` takes patterns.
 
         Raises:
-            UnknownName: There is none of that name; the fault lists what exists.
+            UnknownName: No parameter has that name; the error lists the existing names.
         """
         if isinstance(key, slice):
             return Parameters(list(self)[key])
@@ -119,7 +119,7 @@ class Parameters(Shown):
         return Parameters([*self, *other])
 
     def __repr__(self) -> str:
-        """Return a line a parameter, name and value, at most ten of them."""
+        """Return one line per parameter with name and value, at most ten."""
         shown = list(self)[: len(self) if len(self) <= _MAX_SHOWN else _MAX_SHOWN - 1]
         width = max((len(p.name) for p in shown), default=0)
         more = [f"  and {len(self) - len(shown)} more"] if len(shown) < len(self) else []
@@ -130,14 +130,14 @@ class Parameters(Shown):
     def friction_sums(self) -> tuple[tuple[str, str], ...]:
         """Names of the two Coulomb values of a joint; their sum, twice the friction, is at least zero.
 
-        Each alone may be negative: a constant offset of the force sensor adds to one and takes from the other.
+        Each alone may be negative: a constant offset of the force sensor increases one and decreases the other.
         """
         firsts = [name.removesuffix(_COULOMB[0]) for name in self._items if name.endswith(_COULOMB[0])]
         pairs = ((joint + _COULOMB[0], joint + _COULOMB[1]) for joint in firsts)
         return tuple(pair for pair in pairs if pair[1] in self._items)
 
     def is_at_bound(self, name: str) -> bool:
-        """Tell whether a value sits on one of its bounds, or the sum of a joint's Coulomb values on zero."""
+        """Return whether a value is at one of its bounds, or the sum of a joint's Coulomb values at zero."""
         if self[name].at_bound:
             return True
         pairs = [[self[one].value for one in pair] for pair in self.friction_sums if name in pair]
@@ -169,7 +169,7 @@ class Parameters(Shown):
         """Return the parameters of names or shell patterns, each once, in the order given.
 
         Raises:
-            UnknownName: A name or a pattern fits none.
+            UnknownName: A name or a pattern matches no parameter.
         """
         asked = [names] if isinstance(names, str) else names
         found = [name for n in asked for name in ([n] if n in self._items else self.match(n))]
@@ -202,7 +202,7 @@ class Parameters(Shown):
 
     @classmethod
     def from_list(cls, rows: object, where: str = "parameters") -> Parameters:
-        """Read what `to_list` wrote; anything else is an `InputError` naming the entry."""
+        """Read the output of `to_list`; other content raises an `InputError` that names the entry."""
         if not isinstance(rows, list):
             raise InputError("file_format", f"{where}: expected a list of parameters")
         known = set(Parameter.__dataclass_fields__)

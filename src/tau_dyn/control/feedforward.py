@@ -3,12 +3,13 @@
 A friction law jumps at zero velocity; a drive fed with that jump shakes. Two smooth laws are offered, both over a width `w`
 [m/s or rad/s]. `ramp` joins the law at -w and at +w by a straight line, the piecewise-linear law of Dressler 2012, Figure
 3.6; outside the width it is the identified law exactly. `tanh` mixes both directions by `s(v) = tanh(2 v / w)`. Inside the
-width friction is under-compensated, never over-compensated, so the feedback is not asked to fight it. Friction whose
+width friction is under-compensated, never over-compensated, so the feedback does not have to act against it. Friction whose
 direction is not its joint's (a motor shared by two joints, a passive bearing) fades in the same way with its own speed.
 
-The force is in the drive's own scale, as logs hold it: a `drive_gain` enters, since a drive that reports `(1 + gain_error) tau`
-for the force tau must be asked for just that. (If a force sensor beside the drive was logged and it is the sensor that is
-off, leave the effect out of the model.) What a single state does not determine is left out and named once, in `warnings`.
+The force is in the drive's own scale, as logs hold it: a `drive_gain` enters, since a drive that reports
+`(1 + gain_error) tau` for the force tau needs that value as its command. (If the logged force comes from a separate force
+sensor and the sensor has the gain error, leave the effect out of the model.) Effects that a single state does not determine
+are left out and named once, in `warnings`.
 """
 
 from __future__ import annotations
@@ -31,10 +32,10 @@ class Feedforward:
 
     Attributes:
         model: The model.
-        width: Speed over which the sign changes, one a joint (na,) [m/s or rad/s].
+        width: Speed over which the sign changes, one per joint (na,) [m/s or rad/s].
         shape: 'ramp' or 'tanh'.
-        left_out: Effects that a single state does not determine; a call with the signals that they feel has them.
-        warnings: A sentence for each of them.
+        left_out: Effects that a single state does not determine; a call with their input signals includes them.
+        warnings: A sentence for each effect that is left out.
 
     Example:
         >>> feedforward = td.Feedforward(td.Model.of(td.load_robot("linear_axis")))
@@ -47,7 +48,7 @@ class Feedforward:
 
         Args:
             model: The identified model.
-            width: Half-width of the transition around zero velocity [m/s or rad/s]: a number or one a joint (na,).
+            width: Half-width of the transition around zero velocity [m/s or rad/s]: a number or one per joint (na,).
             shape: 'ramp' (piecewise linear) or 'tanh'.
 
         Raises:
@@ -100,7 +101,7 @@ class Feedforward:
             q: Actuated positions (na,) or (N, na) [m or rad].
             v: Velocities, the same shape.
             a: Accelerations, the same shape.
-            signals: What a state does not tell and some effects feel: `temperature` [degC] (past the lag of its
+            signals: Inputs of some effects that the state does not contain: `temperature` [degC] (after the lag of its
                 `thermal_drift`), `campaign`, `reversal` [m or rad]; each a number, (na,), or the shape of `q`.
 
         Returns:
@@ -118,7 +119,7 @@ class Feedforward:
         return self.forces(np.atleast_2d(q), np.atleast_2d(v), np.atleast_2d(a), felt).reshape(q.shape)
 
     def forces(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, felt: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Return forces (N, na) at states and signals (N, na) that are taken as they are; `__call__` checks them first."""
+        """Return forces (N, na) at states and signals (N, na) without checks; `__call__` checks them first."""
         by_joint, turning, scaling = self._parts_with(frozenset(felt))
         needs = {name for e in turning.effects for name in e.needs}
         motion = by_joint.motion(q, v, a, signals=felt, needs=needs)
@@ -154,7 +155,7 @@ class Feedforward:
     def _turning(self, model: Model, motion: Motion) -> np.ndarray:
         """Return forces (N, na) whose dry part fades with the slowest of the speeds that give it its direction.
 
-        The dry part is what does not change as all speeds double: `2 F(v) - F(2 v) - F(0)` of a law that is otherwise linear.
+        The dry part stays constant if all speeds double: `2 F(v) - F(2 v) - F(0)`; the rest of the law is linear.
         """
         force = np.zeros_like(motion.v)
         for effect in model.effects:

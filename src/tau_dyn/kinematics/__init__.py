@@ -1,4 +1,4 @@
-"""What follows from a mechanism's kinematics: paths, workspace, accuracy, assembly modes."""
+"""Analyses of a mechanism's kinematics: paths, workspace, accuracy, assembly modes."""
 
 from lazy_loader import attach_stub
 

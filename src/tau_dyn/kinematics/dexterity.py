@@ -1,6 +1,6 @@
-"""How well a robot moves at a pose.
+"""Dexterity of a robot at a pose: condition, manipulability, distance to singularities, worst speed and force.
 
-Everything follows from the closure's rates, which tie the tool's twist (linear first) to the actuators' speeds:
+All measures follow from the closure's rates, which relate the tool's twist (linear first) to the actuators' speeds:
 
     J_x V = J_q v,      J = J_x^-1 J_q.
 
@@ -9,9 +9,9 @@ serial arm has `J_x = 1`. Lengths and angles are made comparable by one characte
 their angle, `V_h = (v, l w)`, for revolute actuators too (homogenised, as Angeles 1992; Merlet 2006, ch. 5). For a plate,
 `l` is the root mean square distance of its joints from the tool. Singular values of `J_x` and `J_q` are distances, in the
 2-norm, to the nearest matrix that is singular: parallel singularities (the plate moves with actuators locked) and serial
-ones (an actuator moves nothing; Gosselin & Angeles 1990).
+ones (an actuator moves without moving the plate; Gosselin & Angeles 1990).
 
-How the tool yields follows from the linearised robot (`mechanism.flexible`), not from these rates.
+The compliance of the tool follows from the linearised robot (`mechanism.flexible`), not from these rates.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ class Rates(NamedTuple):
     """The closure's derivative at many poses.
 
     Attributes:
-        tool: `J_x` (N, n, d) by the components of the twist that are asked for, linear ones first: 3 for a tool that only
-            translates (or whose turning is not asked for), else up to 6.
+        tool: `J_x` (N, n, d) by the requested components of the twist, linear ones first: 3 for a tool that only translates
+            (or whose rotation is not requested), else up to 6.
         actuators: `J_q` (N, n, na).
         turns: Which actuators are revolute (na,).
         length: Characteristic length [m].
-        linear: Up to how many of the components are linear.
+        linear: Largest number of linear components.
     """
 
     tool: np.ndarray
@@ -45,15 +45,15 @@ class Rates(NamedTuple):
 
 
 class Dexterity(NamedTuple):
-    """How well the robot moves at N poses.
+    """Dexterity of the robot at N poses.
 
     Attributes:
-        condition: Condition number of the homogenised Jacobian (N,), 1 at best, inf where it is singular.
+        condition: Condition number of the homogenised Jacobian (N,), 1 at best, inf if it is singular.
         manipulability: Product of its singular values (N,), Yoshikawa's measure.
         parallel: Least singular value of the homogenised `J_x` (N,): distance to a parallel singularity.
         serial: Least singular value of the homogenised `J_q` (N,): distance to a serial singularity.
-        tool_sign: Sign of `det J_x` (N,), 0 where it is not square.
-        actuator_sign: Sign of `det J_q` (N,), 0 where it is not square.
+        tool_sign: Sign of `det J_x` (N,), 0 if it is not square.
+        actuator_sign: Sign of `det J_q` (N,), 0 if it is not square.
     """
 
     condition: np.ndarray
@@ -111,7 +111,7 @@ def _measures(tool: np.ndarray, actuators: np.ndarray) -> np.ndarray:
 
 
 def compute_tool_jacobian(rates: Rates) -> np.ndarray:
-    """Return `J` (N, d, na): tool twist per actuator speed [m or rad per m or rad]; nan where `J_x` is singular."""
+    """Return `J` (N, d, na): tool twist per actuator speed [m or rad per m or rad]; nan if `J_x` is singular."""
     J = np.full((len(rates.tool), rates.tool.shape[2], rates.actuators.shape[2]), np.nan)
     sound = np.asarray(np.isfinite(rates.tool).all(axis=(1, 2)) & np.isfinite(rates.actuators).all(axis=(1, 2)))
     if sound.any():

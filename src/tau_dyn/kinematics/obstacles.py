@@ -13,12 +13,11 @@ obstacles:
 - name: lamp
   sphere: {centre: [1, 0, 2], radius: 0.1}
 
-Which poses make a robot touch itself, its frame or obstacles, for many poses at once.
-
-Spheres that cover one solid, against the exact distance of the other, settle most poses in arrays: all spheres clear is
-clear, a centre within the other solid is a touch. Only what lies between goes to coal, one pose at a time. Solids that
-touch at home (a cart on its guideway, what the file draws into each other, a rod and the solid in which its joint sits) are
-left out.
+Collisions of a robot with itself, its frame or obstacles are found for many poses at once. One solid is covered by spheres, whose
+centres are compared with the exact distance of the other solid. Most poses are decided in arrays: if all spheres are clear, the
+pose is clear; if a centre is within the other solid, the solids touch. Only the undecided poses are passed to coal, one at a
+time. Solids that touch at home (a cart on its guideway, solids that overlap in the file, a rod and the solid that holds its
+joint) are left out.
 """
 
 from __future__ import annotations
@@ -50,9 +49,9 @@ class Obstacle:
     """A solid that must not be touched.
 
     Attributes:
-        name: As the user calls it.
+        name: Name given by the user.
         shape: The solid, in its own frame.
-        placement: Its frame in the world.
+        placement: Frame of the solid in the world.
         margin: Distance to keep [m].
         blocks: `robot` (all of it) or `tool` (the tool's point alone: a safety zone).
     """
@@ -70,11 +69,11 @@ class Obstacle:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What stands around a robot.
+    """Surroundings of a robot.
 
     Attributes:
         obstacles: Solids and zones.
-        lower: Least coordinates of the tool (3,) [m], -inf for none.
+        lower: Least coordinates of the tool (3,) [m], -inf without a limit.
         upper: Largest coordinates of the tool (3,) [m].
     """
 
@@ -87,13 +86,13 @@ def read_surroundings(path: str | Path) -> Surroundings:
     """Read obstacles, zones and limits from a YAML file.
 
     Raises:
-        InputError: The file cannot be read, or the message names the obstacle, its key and what would be right.
+        InputError: The file cannot be read, or its content is wrong; the message names the obstacle, its key and the remedy.
     """
     return build_surroundings(read_yaml(path), str(path))
 
 
 def build_surroundings(content: Any, where: str) -> Surroundings:
-    """Return surroundings from what a YAML file holds; `where` opens the messages."""
+    """Return surroundings from the content of a YAML file; `where` is the start of error messages."""
     reader = _Reader(where)
     if not isinstance(content, Mapping) or not content:
         reader.fault("the file needs a list 'obstacles', or 'limits'")
@@ -111,7 +110,7 @@ def build_surroundings(content: Any, where: str) -> Surroundings:
 
 
 class _Reader:
-    """Turns what YAML holds into solids; every fault names the place."""
+    """Converts the content of YAML into solids; every error names the place."""
 
     def __init__(self, where: str) -> None:
         self.where = where
@@ -214,7 +213,7 @@ def add_limits(around: Surroundings, texts: Sequence[str]) -> Surroundings:
     """Return surroundings with further limits of the tool, each such as `x=0.5:2.5`; an end may be left empty.
 
     Raises:
-        InputError: A limit is written otherwise, inverted, or not a number.
+        InputError: A limit has another form, is inverted, or is not a number.
     """
     lower, upper = around.lower.copy(), around.upper.copy()
     for text in texts:
@@ -244,9 +243,9 @@ class PlacedSolid(NamedTuple):
 
     Attributes:
         shape: The solid.
-        rotation: Of its frame (N, 3, 3), or (1, 3, 3) where it stands.
-        position: (N, 3) or (1, 3) [m].
-        length: Of a capsule whose length varies (N,) [m], or None.
+        rotation: Rotation of its frame (N, 3, 3), or (1, 3, 3) if it does not move.
+        position: Origin of its frame (N, 3) or (1, 3) [m].
+        length: Length of a capsule whose length varies (N,) [m], or None.
     """
 
     shape: Shape
@@ -275,10 +274,10 @@ class PlacedSolid(NamedTuple):
 
     def cover(self, size: float) -> tuple[np.ndarray, np.ndarray | float, float]:
         """Return spheres of about a size [m] that cover it: centres (N, m, 3), radius (number or (N, 1)), the centres' depth."""
-        assert not isinstance(self.shape, HalfSpace)  # a half-space is no body
+        assert not isinstance(self.shape, HalfSpace)  # a half-space is not bounded
         local, radius = self.shape.cover(size)
         deep = self.shape.radius if isinstance(self.shape, Capsule | Sphere) else 0.0
-        deep = -np.inf if isinstance(self.shape, Cylinder) else deep  # centres near its rim may lie outside
+        deep = -np.inf if isinstance(self.shape, Cylinder) else deep  # centres near its rim may be outside
         if self.length is not None and isinstance(self.shape, Capsule):
             share = local / max(self.shape.length, 1e-9)
             places = share * self.length[:, None, None]

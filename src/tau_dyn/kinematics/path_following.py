@@ -1,9 +1,9 @@
-r"""Inverse kinematics along a path: one branch from the first sample to the last, and where it would be lost is told.
+r"""Inverse kinematics along a path in one branch; if the branch is lost, the result names the sample and the reason.
 
-Solved pose by pose, every pose gets home's configuration, whichever way the path came. A robot that drives the path keeps
-the branch that it is on: the one it stands in, or home's. It can leave it only through a singularity, where a rod stands
-across what its actuator does (serial) or the rods lose hold of the plate (parallel): there a determinant of `G_q` or `G_x`
-passes zero. Reference: Gosselin & Angeles 1990; Merlet 2006, ch. 6.
+If each pose is solved separately, every pose gets home's configuration, independent of the path. A robot that drives the path
+stays in its branch: the one of its start, or home's. It can leave the branch only through a singularity, at which a rod is
+orthogonal to the motion of its actuator (serial) or the rods do not constrain the plate (parallel): there a determinant of `G_q`
+or `G_x` passes zero. Reference: Gosselin & Angeles 1990; Merlet 2006, ch. 6.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import Kinematics, Poses, build_kinematics, require_poses, require_positions
 from tau_dyn.robot import Robot
 
-_MAX_STEP_RATIO = 0.3  # of the mean rod's length, or m or rad without rods: no path of neighbouring poses asks for this
+_MAX_STEP_RATIO = 0.3  # of the mean rod's length, or m or rad without rods; neighbouring poses need less
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,12 +24,13 @@ class FollowedPath:
     """A path in one branch.
 
     Attributes:
-        q: Actuated positions (N, na), nan from the sample on that the branch does not reach.
-        poses: Of the tool as reached (N), nan likewise.
+        q: Actuated positions (N, na), nan from the first sample that the branch does not reach.
+        poses: Poses reached by the tool (N), nan from the same sample.
         until: Number of samples reached.
-        reason: Why the path ends there, '' where it does not: 'serial singularity', 'parallel singularity', 'jump' (the path
-            is too coarse to tell, or the branch ends), or a reason of `outcome`.
-        crossing: Where along the path a singularity would be crossed, as a sample number with its fraction; nan for none.
+        reason: Reason why the path ends there, '' if it does not: 'serial singularity', 'parallel singularity', 'jump' (the path
+            is too coarse for a decision, or the branch ends), or a reason of the pose solver.
+        crossing: Position along the path at which a singularity would be crossed, as a sample number with a fraction; nan
+            without a crossing.
     """
 
     q: np.ndarray
@@ -47,12 +48,12 @@ class FollowedPath:
 def follow_path(
     robot: Robot | Kinematics, path: Poses | np.ndarray, *, start: np.ndarray | None = None
 ) -> FollowedPath:
-    """Follow a path of tool poses, or of actuated positions, without leaving the branch; joint limits are not looked at.
+    """Follow a path of tool poses, or of actuated positions, without leaving the branch; joint limits are ignored.
 
     Args:
         robot: A robot or its kinematics.
         path: Poses of the tool (N), or actuated positions (N, na), each near the one before.
-        start: Actuated positions (na,) at or near the first pose, which tell the branch; by default home's branch.
+        start: Actuated positions (na,) at or near the first pose, which select the branch; home's branch by default.
 
     Raises:
         InputError: Wrong shapes, no samples, or a start together with actuated positions.
@@ -84,7 +85,7 @@ def follow_path(
 
 
 def _solved(kinematics: Kinematics, asked: Poses, here: np.ndarray | None) -> tuple[np.ndarray, Poses, np.ndarray]:
-    """Return positions, poses reached and reasons; all samples at once, and from the first jump on one after the other."""
+    """Return positions, poses reached and reasons; all samples are solved at once, those after the first jump one by one."""
     near = kinematics.robot.home if here is None else here
     signs = None if kinematics.legs is None else kinematics.nearest_configuration(asked.take(slice(1)), near)
     found = kinematics.inverse(asked, configuration=signs, start=here, limits=False)
@@ -101,7 +102,7 @@ def _solved(kinematics: Kinematics, asked: Poses, here: np.ndarray | None) -> tu
 
 
 def _moved(kinematics: Kinematics, step: np.ndarray) -> np.ndarray:
-    """Return the largest actuated step: slides by the legs' mean length, turns in rad without whole ones."""
+    """Return the largest actuated step: slides relative to the legs' mean length, turns in rad without whole turns."""
     turning = np.array([kind == "revolute" for kind in kinematics.robot.joint_kinds])
     scale = 1.0 if kinematics.legs is None else float(np.mean(kinematics.legs.lengths))
     turned = np.abs((step + np.pi) % (2 * np.pi) - np.pi)
@@ -109,9 +110,9 @@ def _moved(kinematics: Kinematics, step: np.ndarray) -> np.ndarray:
 
 
 def _crossing(kinematics: Kinematics, q: np.ndarray, poses: Poses, home: bool, serial: bool) -> tuple[float, str]:
-    """Return where a determinant first passes zero, and which kind it is; nan where none does.
+    """Return where a determinant first passes zero, and the kind of singularity; nan if no determinant does.
 
-    Driven actuators pass a serial singularity as they please, so it counts for paths of poses only.
+    Actuators that are driven can pass a serial singularity, so it counts for paths of poses only.
     """
     first, kind = np.nan, ""
     at_home = _determinants(kinematics, kinematics.robot.home[None], kinematics.commanded.home) if home else {}

@@ -1,4 +1,4 @@
-"""Actuated positions and tool poses that belong together, row by row: columns of a file in, the answers of `fk` and `ik` out."""
+"""Tables of actuated positions and tool poses: reading of columns of a file, and the results of `fk` and `ik`, row by row."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def _numbers(cells: np.ndarray, where: str) -> np.ndarray:
         raise InputError("bad_sample", f"{where} must hold numbers; {fault}") from fault
 
 
-_MAX_REACH_M = 50.0  # [m] no robot is larger, and millimetres are
+_MAX_REACH_M = 50.0  # [m] larger than any robot; positions in millimetres exceed it
 _TOLD = 1e-6  # [rad] orientation errors below this are rounding
 
 
@@ -93,13 +93,13 @@ class PoseTable(Shown):
         robot: The robot.
         inverse: Whether poses were given (`ik`) or positions (`fk`).
         pose: Row of the input, from 1 (N,).
-        q: Actuated positions (N, na), nan where there are none.
-        position: Of the tool (N, 3) [m].
-        quaternion: Of the tool (N, 4), x y z w.
-        reason: Why a row has no answer, '' where it has one (N,).
-        configuration: Name of the configuration (`ik`) or of the assembly mode (`fk`), '' where not asked for (N,).
+        q: Actuated positions (N, na), nan in rows without an answer.
+        position: Position of the tool (N, 3) [m].
+        quaternion: Orientation of the tool (N, 4), x y z w.
+        reason: Reason why a row has no answer, '' if it has one (N,).
+        configuration: Name of the configuration (`ik`) or of the assembly mode (`fk`), '' if not requested (N,).
         warnings: Sentences.
-        counts: Of modes or configurations of each row of the input; empty where not asked for.
+        counts: Number of modes or configurations of each row of the input; empty if not requested.
     """
 
     robot: Robot
@@ -120,7 +120,7 @@ class PoseTable(Shown):
 
     @property
     def choice(self) -> str:
-        """What `configuration` names: `configuration` or `mode`."""
+        """Name of the column that holds `configuration`: `configuration` or `mode`."""
         return "configuration" if self.inverse else "mode"
 
     @property
@@ -129,7 +129,7 @@ class PoseTable(Shown):
         return self.reason == ""
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Return the table's columns by name, as logs call them."""
+        """Return the table's columns by name, with the names used in logs."""
         table: dict[str, np.ndarray] = {}
         if self.configuration.any():
             table |= {"pose": self.pose, self.choice: self.configuration}
@@ -171,10 +171,10 @@ class PoseTable(Shown):
 def build_forward_table(
     robot: Robot, q: np.ndarray, *, all_modes: bool = False, progress: Callable[[str], None] = lambda step: None
 ) -> PoseTable:
-    """Return where positions (N, na) put the tool, in home's assembly mode or in all that are found.
+    """Return the tool's poses at positions (N, na), in home's assembly mode or in all modes that are found.
 
     Raises:
-        InputError: None of them has a pose.
+        InputError: No position has a pose.
     """
     beyond = (q < robot.lower - 1e-9) | (q > robot.upper + 1e-9)
     warnings = [
@@ -197,7 +197,7 @@ def build_forward_table(
 def _all_modes(
     robot: Robot, q: np.ndarray, reason: np.ndarray, warnings: list[str], progress: Callable[[str], None]
 ) -> PoseTable:
-    """Return every assembly mode of each row; a row without one keeps the reason why there is none in home's mode."""
+    """Return every assembly mode of each row; a row without a mode keeps the reason why home's mode does not exist."""
     parts, names, which, why, counts = [], [], [], [], []
     for k, row in enumerate(q):
         progress(f"assembly modes of row {k + 1} of {len(q)}")
@@ -230,10 +230,10 @@ def _all_modes(
 
 
 def build_inverse_table(robot: Robot, poses: Poses, *, all_configurations: bool = False) -> PoseTable:
-    """Return which positions put the tool at poses, in home's configuration or in all.
+    """Return the positions for poses of the tool, in home's configuration or in all.
 
     Raises:
-        InputError: None of them can be reached.
+        InputError: No pose can be reached.
     """
     if all_configurations:
         return _all(robot, poses)

@@ -1,9 +1,9 @@
-"""Simple solids, how far points are from them, and those that a robot's file draws as its links.
+"""Simple solids, the distance of points from them, and the solids of a robot's links in its file.
 
-A distance is signed: negative inside, exact outside. `coal_shape` hands the same solid to coal, the collision library that
-comes with Pinocchio. Every solid stands in its own frame, centred at the origin; cylinders and capsules lie along z, a
-half-space is what lies below z = 0. Links are boxes, cylinders and spheres of `<collision>`, else of `<visual>`; rods are
-capsules between their joints, as thick as the file draws them. Meshes are left out and named.
+A distance is signed: negative inside, exact outside. `coal_shape` returns the same solid for coal, the collision library that
+comes with Pinocchio. Every solid is defined in its own frame, centred at the origin; the axis of cylinders and capsules is z, a
+half-space is the part below z = 0. Links are boxes, cylinders and spheres of `<collision>`, else of `<visual>`; rods are
+capsules between their joints with the thickness drawn in the file. Meshes are left out and named.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ class Sphere:
 
 @dataclass(frozen=True)
 class Capsule:
-    """A rod with round ends: all points within `radius` of a stretch of z as long as `length` [m]."""
+    """A rod with round ends: all points within `radius` of a segment of the z axis with `length` [m]."""
 
     radius: float
     length: float
@@ -137,7 +137,7 @@ class Capsule:
 
 @dataclass(frozen=True)
 class HalfSpace:
-    """All that lies below z = 0 of its frame."""
+    """All points below z = 0 of its frame."""
 
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Return signed distances of points (..., 3) in its frame [m]."""
@@ -169,7 +169,7 @@ class Body:
     Attributes:
         name: Link name without `_link`.
         joint: Pinocchio's index of the joint that carries it, 0 for the frame.
-        shape: The solid; of a rod a capsule that is as long as its joints lie apart.
+        shape: The solid; for a rod a capsule as long as the distance of its joints.
         placement: The solid's frame in the joint's.
         rod: Index among the rods, -1 for other links.
     """
@@ -201,7 +201,7 @@ def read_bodies(robot: Robot) -> tuple[list[Body], list[str]]:
 
 
 def measure_rod_radius(bodies: list[Body], name: str) -> float:
-    """Return the radius [m] in which the file draws a rod; a numbered rod of one link takes the link's."""
+    """Return the radius [m] of a rod as drawn in the file; a numbered rod of one link takes the link's."""
     for wanted in (name, name.rpartition("_")[0]):
         for body in bodies:
             if body.name == wanted and isinstance(body.shape, Cylinder):
@@ -210,7 +210,7 @@ def measure_rod_radius(bodies: list[Body], name: str) -> float:
 
 
 def build_rod_body(name: str, radius: float, length: float, index: int) -> Body:
-    """Return a rod; its joint is -1, since it lies between two points."""
+    """Return a rod; its joint is -1, since it connects two points."""
     return Body(name, -1, Capsule(radius, length), pin.SE3.Identity(), index)
 
 

@@ -1,4 +1,4 @@
-r"""The ground's forces taken out of the equations of a floating base: contacts are closures that come and go.
+r"""Elimination of ground forces from the equations of a floating base: contacts are loop closures that change with time.
 
     M a + h = tau + J' f,   tau = 0 for the base,   J' stacked over the contacts of this sample
 
@@ -7,13 +7,14 @@ the coordinates split into dependent and independent ones, as for closed loops (
 
     v = G v_i,   G = [1; -J_d^+ J_i],   J G = 0,   G' (M a + h) = G' tau,
 
-so no contact force is left, whatever it is. Only forces have to pass through the contact points: feet may slip and yield. Which
-coordinates depend is chosen once for every set of contacts, the legs' joints before the base, by QR with column pivoting; so
-rows are smooth while a set of contacts lasts. A quadruped that stands keeps its six base equations, with the torques of all legs
-in them; a leg in the air adds its joints' own. Reference: Mistry, Buchli & Schaal 2010; Khalil & Dombre 2002, ch. 7.
+so contact forces of any size cancel. The forces only have to act at the contact points: feet may slip and yield. The dependent
+coordinates are chosen once for every set of contacts, the legs' joints before the base, by QR with column pivoting; so rows are
+smooth while a set of contacts lasts. A quadruped on all feet keeps its six base equations, which contain the torques of all
+legs; a leg in the air adds the equations of its joints. Reference: Mistry, Buchli & Schaal 2010; Khalil & Dombre 2002, ch. 7.
 
-A spherical foot touches the ground below its centre, on a level ground. A foot counts as in contact where in doubt, and always
-where the log has no flag: the equations stay exact, and the leg's own are lost. A contact taken for air would be an error.
+A spherical foot touches the ground below its centre, on a level ground. A foot counts as in contact in case of doubt, and
+always if the log has no flag: the equations stay exact, but the leg's own are lost. A contact that counts as air would be an
+error.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ _RANK = 1e-6  # singular value relative to the largest, of a set of contacts tha
 
 
 class ContactElimination(NamedTuple):
-    """Contact forces taken out.
+    """Elimination of contact forces.
 
     Attributes:
         G: Velocity of all coordinates per velocity of independent ones (N, n, n); zero columns of dependent ones.
@@ -81,7 +82,7 @@ def find_contacts(robot: Robot, log: Log) -> np.ndarray:
 
 
 def find_usual_flight(contacts: Iterable[tuple[np.ndarray, float]]) -> float:
-    """Return how long a foot is usually in the air [s], of logs' contacts (N, k) and steps [s]; zero where none ever is.
+    """Return how long a foot is usually in the air [s], from logs' contacts (N, k) and steps [s]; zero if no foot ever is.
 
     It is the median over the time in the air, so that short bounces do not count for much.
     """
@@ -158,7 +159,7 @@ def eliminate_contacts(robot: Robot, q: np.ndarray, touching: np.ndarray) -> Con
 def _choose_dependent(robot: Robot, J: np.ndarray) -> np.ndarray:
     """Return the coordinates that follow from the others, for Jacobians (N, rows, n) of one set of contacts.
 
-    Of samples along the way, the one whose choice leaves the best conditioned equations.
+    Up to 20 samples are tried; the choice with the best conditioned equations is returned.
     """
     if not J.shape[1]:
         return np.zeros(0, int)

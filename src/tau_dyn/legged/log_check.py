@@ -1,9 +1,9 @@
-"""Whether a log of a robot with a floating base is usable: its joints as ever, and the motion of its base.
+"""Check of a log of a robot with a floating base: its joints, as for other robots, and the motion of its base.
 
-A velocity of the base that is logged beside its pose is compared with the pose's own: in axes of the base, as it has to be, and
-in axes of the world. Both look plausible; a robot that turns tells them apart.
+If a log has the velocity of the base in addition to its pose, the velocity is compared with the derivative of the pose: in axes
+of the base, as required, and in axes of the world. Both look plausible; the turning of the robot separates them.
 
-From the logged pose and velocity of a floating base to its six coordinates (`robot/floating_base.py`).
+The logged pose and velocity of a floating base are converted to its six coordinates (`robot/floating_base.py`).
 
 Columns of a log, after Pinocchio's free flyer:
 
@@ -12,9 +12,10 @@ Columns of a log, after Pinocchio's free flyer:
     v_base_x, v_base_y, v_base_z                    velocity of that origin in axes of the base [m/s]
     v_base_wx, v_base_wy, v_base_wz                 angular velocity in axes of the base [rad/s]
 
-The orientation is needed, since it says where gravity points. The position may be missing where the velocity is there: it is
-then the velocity's integral in world axes, whose drift no equation of motion feels. Velocities and accelerations come from these
-coordinates through the same filters as those of the joints. A velocity that is logged beside the pose has to agree with it.
+The orientation is needed, since it gives the direction of gravity. The position may be missing if the velocity is logged: it
+is then the velocity's integral in world axes, whose drift has no effect on the equations of motion. Velocities and
+accelerations are computed from these coordinates with the same filters as for the joints. A logged velocity has to agree with
+the pose.
 """
 
 from __future__ import annotations
@@ -52,19 +53,19 @@ QUATERNION = ("q_base_qx", "q_base_qy", "q_base_qz", "q_base_qw")
 LINEAR = ("v_base_x", "v_base_y", "v_base_z")
 ANGULAR = ("v_base_wx", "v_base_wy", "v_base_wz")
 MAX_PITCH = np.radians(80.0)
-"""Pitch [rad] beyond which yaw and roll are no coordinates any more; accelerations in them grow by `1 / cos^2`."""
+"""Largest pitch [rad]: beyond it yaw and roll are ill-defined; accelerations in them grow by `1 / cos^2`."""
 MAX_NORM_ERROR = 0.05
-"""Difference of a quaternion's length from one; more, and the columns are no quaternion's."""
+"""Largest difference of a quaternion's length from one; with more, the columns are no quaternion."""
 
 
 def complete_base(robot: Robot, logs: Sequence[AnyLog]) -> list[AnyLog]:
     """Return logs with the positions of a floating base's coordinates, and their forces, which are zero.
 
-    Logs of a robot with a fixed base come back as they are.
+    Logs of a robot with a fixed base are returned unchanged.
 
     Raises:
-        InputError: The orientation is missing or no rotation, neither position nor velocity is there, the base stands upright
-            on its nose, or a recording is larger than memory.
+        InputError: The orientation is missing or no rotation, position and velocity are both missing, the base pitches
+            beyond 80 degrees, or a recording is larger than memory.
     """
     return [_complete(robot, log) for log in logs] if robot.base_coordinates else list(logs)
 
@@ -136,7 +137,7 @@ def _read_position(log: Log, rotation: Rotation) -> np.ndarray:
 _COMPARED_HZ = 5.0
 """Low-pass of both velocities before they are compared [Hz]: above it a pose's noise is most of its derivative."""
 _CLEARER = 3.0
-"""How many times better one frame explains a velocity than the other where there is no doubt."""
+"""Smallest ratio of the errors in both frames at which the frame of a velocity is certain."""
 
 
 @dataclass(frozen=True)
@@ -156,12 +157,12 @@ class DrivenJoints:
 
 
 def check_robot_log(log: Log, robot: Robot | None) -> LogCheck:
-    """Return the check of a log against its robot; of a floating base with what is wrong with its motion."""
+    """Return the check of a log against its robot; for a floating base it includes the faults of the base's motion."""
     if robot is None or not robot.base_coordinates:
         return check_log(log, robot)
     joints = {name: x for name, x in log.channels.items() if not name.startswith(("q_base_", "v_base_"))}
     checked = check_log(replace(log, channels=joints), DrivenJoints.of(robot))
-    # joints leap where feet touch down, with no sample lost
+    # positions of joints jump when feet touch down, without lost samples
     findings = [finding for finding in checked.findings if finding.code != "lost_samples"]
     try:
         complete_base(robot, [log])
@@ -177,9 +178,9 @@ def check_robot_log(log: Log, robot: Robot | None) -> LogCheck:
 
 
 def propose_robot_columns(path: str | Path, robot: Robot) -> ColumnProposal:
-    """Return the column map proposed for a log of a robot; of a floating base with the columns of its base and feet.
+    """Return the column map proposed for a log of a robot; for a floating base it includes the columns of base and feet.
 
-    Those are taken under their own names alone; what is missing is listed, with lines to complete.
+    The columns of base and feet are accepted only under their own names; missing ones are listed, with lines to complete.
 
     Raises:
         InputError: The log cannot be read.
@@ -208,7 +209,7 @@ def propose_robot_columns(path: str | Path, robot: Robot) -> ColumnProposal:
 
 
 def list_base_warnings(robot: Robot, log: Log) -> list[CodedWarning]:
-    """Return what is doubtful about feet and base velocity of a log with an orientation of the base."""
+    """Return warnings about feet and base velocity of a log with an orientation of the base."""
     missing = [contact.frame for contact in robot.contacts if f"contact_{contact.frame}" not in log.channels]
     found = []
     if missing:

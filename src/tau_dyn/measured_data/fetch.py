@@ -1,9 +1,9 @@
 """One set of measured logs in a folder: from `$TAU_DYN_DATA` if it is there, else from its published address.
 
 Every published file is compared with its sha256 before anything is written. The folder gets the logs, the robot files, the
-column map `columns.yaml`, the servo law `controller.yaml` where there is one, and `SOURCE.txt`.
+column map `columns.yaml`, the servo law `controller.yaml` if it is known, and `SOURCE.txt`.
 
-The public measured logs that are known: source, licence, checksums, and the question that each answers (`catalogue.yaml`).
+`catalogue.yaml` lists the public measured logs: source, licence, checksums, and the question that each answers.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ class DataFile:
     Attributes:
         name: Name under which it is written.
         n_bytes: Size [bytes]; without an address that of the converted file.
-        address: Where it is published; empty where its published form is not read.
+        address: Address of the published file; empty if its published form cannot be read.
         sha256: Checksum of the published file; empty without an address.
-        converted: Name of a copy in another format, as the data folder may hold it; empty if there is none.
+        converted: Name of a copy in another format that the data folder may hold; empty if no such copy exists.
     """
 
     name: str
@@ -51,13 +51,13 @@ class DataSet:
     Attributes:
         name: Short name.
         about: Machine, rate and length.
-        question: What its logs answer.
+        question: Question that the logs answer.
         licence: Licence of the published files.
         source: Page where they are published.
         files: The files.
         robots: Robot files that are written next to the logs: file names, or short names of built-in robots.
         columns: File name of the column map.
-        controller: File name of the servo law; empty if there is none.
+        controller: File name of the servo law; empty if the law is unknown.
         next: Commands to run on the folder; @ is replaced by the folder.
     """
 
@@ -172,7 +172,7 @@ class FetchedData:
     warnings: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the answer as plain data."""
+        """Return the result as plain data."""
         return {"data": [self.set.to_dict()], "folder": str(self.folder), "files": self.files, "next": self.next}
 
 
@@ -181,11 +181,11 @@ def fetch_data(
 ) -> FetchedData:
     """Write a set of public measured logs into a folder, with the robot file and the column map that they need.
 
-    Files in the folder that have the same content stay; the folder appears whole or not at all.
+    Files in the folder that have the same content stay; the folder is written atomically.
 
     Args:
         name: Name of the set; `list_sets` has them.
-        folder: Where to; by default a folder of the set's name.
+        folder: Destination; by default a folder with the set's name.
         progress: Called with a line about each file that is downloaded.
 
     Raises:
@@ -244,7 +244,7 @@ def _collect_logs(
 
 
 def _find_in_data_folder(chosen: DataSet, file: DataFile) -> Path | None:
-    """Return a file in `$TAU_DYN_DATA/NAME`: the published one, or its converted copy; None where it has neither."""
+    """Return a file in `$TAU_DYN_DATA/NAME`: the published one, or its converted copy; None if both are missing."""
     root = os.environ.get(FOLDER_VARIABLE)
     if not root:
         return None

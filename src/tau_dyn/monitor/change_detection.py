@@ -1,23 +1,23 @@
-r"""In which direction a residual has moved, and since when: a generalised likelihood ratio with a stated false-alarm rate.
+r"""Detection of changes in a residual, with direction and time: a generalised likelihood ratio with a given false-alarm rate.
 
-Block b of 2 s of motion gives, of the white residual e and the white columns X of a few directions (friction of each joint, a
-payload, ...), the score and the information
+For each block b of 2 s of motion, the white residual e and the white columns X of a few directions (friction of each joint, a
+payload, ...) give the score and the information
 
     s_b = X_b' (e_b - X_b theta_0),     G_b = X_b' X_b
 
-with `theta_0` of a reference, blocks of the normal state: a model error there counts as normal. A change of
+with `theta_0` of a reference, that is of blocks of the normal state: a model error there counts as normal. A change of
 direction d since block k is tested by
 
     T_d(k, n) = (sum_k^n s_bd)^2 / (phi_d (G_dd + g' G_0^-1 g)),     g = row d of G = sum_k^n G_b
 
-`g' G_0^-1 g` is the uncertainty of the reference itself, `phi_d` the scatter of the reference's scores in units of G: so no noise
-model has to be exact, and without a change `sqrt(T)` is Student's t with the reference's degrees of freedom. Each new block
-tests D directions over L lengths from 2 s to an hour. With N = 1800 blocks an hour, the threshold h follows from the rate r [1/h]
-by Bonferroni,  2 P(t > h) = r / (N D L);  the expected number of false alarms is at most r an hour, averaged over references.
-A change of several numbers at once, as the mass and the centre of a body, is named by the statistic of all of them less what
-Schwarz' criterion asks for each number beyond the first.
-Since when: the change-point's likelihood interval of Hansen 2000. Reference: Lorden 1971; Basseville & Nikiforov 1993, 5 and 8;
-Hansen 2000, Sample splitting and threshold estimation.
+`g' G_0^-1 g` is the uncertainty of the reference itself, `phi_d` the scatter of the reference's scores in units of G. So no
+exact noise model is needed, and without a change `sqrt(T)` is Student's t with the reference's degrees of freedom. Each new
+block tests D directions over L lengths from 2 s to an hour. With N = 1800 blocks an hour, the threshold h follows from the
+rate r [1/h] by Bonferroni,  2 P(t > h) = r / (N D L);  the expected number of false alarms is at most r an hour, averaged
+over references. A simultaneous change of several numbers, such as the mass and the centre of a body, is named by their joint
+statistic minus the penalty of Schwarz' criterion for each number beyond the first. The time of a change is the change-point
+with the likelihood interval of Hansen 2000. Reference: Lorden 1971; Basseville & Nikiforov 1993, 5 and 8; Hansen 2000, Sample
+splitting and threshold estimation.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ BLOCK_S = 2.0
 """Length of a block [s]: longer than a residual's memory, a fraction of the minute in which a change is to be named."""
 BLOCKS_PER_HOUR = 3600 / BLOCK_S
 FALSE_ALARMS_PER_HOUR = 1e-4
-"""Expected false alarms: one in ten thousand hours of motion, which is a year of it."""
+"""Expected false alarms: one in ten thousand hours of motion, which is about a year."""
 LENGTHS = np.unique(np.round(np.geomspace(1, BLOCKS_PER_HOUR, 20)).astype(int))
-"""Blocks over which a change is looked for: from one to those of an hour, each about half as long again as the one before."""
+"""Numbers of blocks over which a change is tested: from one to those of an hour, each about 1.5 times the one before."""
 CONFIRMING_BLOCKS = 5
-"""Blocks after a detection that take part in the name, the size and the time of a change: 10 s tell near causes apart."""
+"""Blocks after a detection that take part in the name, the size and the time of a change: 10 s separate similar causes."""
 CHANGE_POINT_95 = 7.35
-"""Fall of the likelihood ratio within which 95 % of true change-points lie: -2 log(1 - sqrt(0.95)) (Hansen 2000)."""
+"""Fall of the likelihood ratio that contains 95 % of true change-points: -2 log(1 - sqrt(0.95)) (Hansen 2000)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class BlockScore:
 
     Attributes:
         t: Its first and last time [s].
-        log: Log that it is of.
+        log: Log to which it belongs.
         z: `X' e` (D,).
         G: `X' X` (D, D).
     """
@@ -62,18 +62,18 @@ class BlockScore:
 
 @dataclass(frozen=True)
 class DetectedChange:
-    """A change that was found.
+    """A detected change.
 
     Attributes:
-        direction: Its number.
+        direction: Index of the direction.
         since_t: Most likely time of the change [s].
-        since_log: Log in which that is.
-        since_ci95: Earliest and latest time [s] within the log where it was detected.
-        detected_t: When it was detected [s].
-        detected_log: Log in which that was.
+        since_log: Log of that time.
+        since_ci95: 95 % interval of the time [s], within the log in which the change was detected.
+        detected_t: Time of the detection [s].
+        detected_log: Log of the detection.
         size: Change in the direction's unit.
-        stderr: Its standard error.
-        ci95: Its interval (Student's t).
+        stderr: Standard error of the size.
+        ci95: 95 % interval of the size (Student's t).
         statistic: Likelihood ratio of the change.
         false_alarms_per_hour: Expected number of false alarms with a statistic as large.
         twins: Directions that explain it as well.
@@ -149,13 +149,13 @@ class NormalState:
 
 @dataclass(eq=False)
 class ChangeDetector:
-    """Takes block after block, learns the normal state from the first, and finds changes with their time.
+    """Takes blocks one by one, learns the normal state from the first ones, and detects changes with their time.
 
     Attributes:
         sizes: Typical amounts of the directions (D,).
         reference_blocks: Blocks from which the normal state is learned, at the beginning and after each alarm.
-        rate: False alarms an hour.
-        together: Directions that one change may move at once, that which names it first; empty without.
+        rate: False alarms per hour.
+        together: Directions that one change may affect at once, first the one that names it; empty without such directions.
         changes: The changes found.
         trace: Time, log and the largest statistic's root over the threshold of each block.
         normal: The normal state; None while it is learned.
@@ -181,7 +181,7 @@ class ChangeDetector:
 
     @property
     def threshold(self) -> float:
-        """Root of the statistic from which a change is called one; infinite while the normal state is learned."""
+        """Root of the statistic above which a change is detected; infinite while the normal state is learned."""
         if self.normal is None:
             return np.inf
         return float(stats.t.isf(self.rate / (2 * BLOCKS_PER_HOUR * self.n_tests), self.normal.dof))
@@ -209,7 +209,7 @@ class ChangeDetector:
             self._forget()
 
     def settle(self) -> None:
-        """Name the change that was detected, where one is open, and learn again; also to be called when the blocks end."""
+        """Name a detected change that is still open, and learn again; call it also when the blocks end."""
         if self._detected is None or self.normal is None:
             return
         self.changes.append(self._describe(self.normal, self._detected))
@@ -260,7 +260,7 @@ class ChangeDetector:
         )  # fmt: skip
 
     def _join_statistics(self, T: np.ndarray, normal: NormalState, s: np.ndarray, G: np.ndarray) -> np.ndarray:
-        """Give the first of the directions that change together the statistic of all in T (K, D), where that is larger.
+        """Replace the statistic of the first of the joint directions in T (K, D) by that of all of them, if that is larger.
 
         Returns:
             Whether it is larger, for each start (K,).

@@ -1,8 +1,8 @@
-"""Possible changes of a robot, and the forces that each adds: a few directions that a user would do something about.
+"""Possible changes of a robot and the forces that each adds: a few directions on which a user would act.
 
-friction         of one joint: the model's Coulomb and viscous friction times 1 + size (without a model of it: N or N m)
-payload          a point mass at the tool, or at the last link's joint [kg], and how far from there along each axis [kg m]
-encoder_offset   of one joint: the forces of a position that is off [m or rad]
+friction         of one joint: the model's Coulomb and viscous friction times 1 + size (without a friction model: N or N m)
+payload          a point mass at the tool, or at the last link's joint [kg], and its moment along each axis [kg m]
+encoder_offset   of one joint: the forces of a position error [m or rad]
 delay            of all forces [s]
 """
 
@@ -20,12 +20,12 @@ from tau_dyn.model import Model
 from tau_dyn.robot import INERTIAL, LinkInertia
 
 _TYPICAL = {"friction": 0.3, "payload": 0.1, "encoder_offset": 0.02, "delay": 0.005}
-"""Typical sizes: 30 % of a joint's friction; of the robot's mass; [m or rad]; [s]. They steady what a reference does not tell."""
-_FRICTION_SHARE = 0.05  # of a joint's rms force: typical Coulomb friction where the model has none
-_PAYLOAD_ARM_M = 0.1  # how far from the tool the centre of a payload typically is [m]
+"""Typical sizes: share of a joint's friction; of the robot's mass; [m or rad]; [s]. They regularise undetermined directions."""
+_FRICTION_SHARE = 0.05  # of a joint's rms force: typical Coulomb friction if the model has no friction
+_PAYLOAD_ARM_M = 0.1  # typical distance of a payload's centre from the tool [m]
 _PAYLOAD_STEP_M = 1e-3  # of its distance, for a finite difference [m]
 _OFFSET_STEP = 1e-5  # of an encoder's offset, for a finite difference [m or rad]
-_MIN_EFFECT = 1e-6  # force of a typical size, relative to all forces, below which a robot does not feel it
+_MIN_EFFECT = 1e-6  # force of a typical size, relative to all forces, below which it is not detectable
 _LAWS = ("coulomb", "coulomb_pos", "coulomb_neg", "viscous", "viscous_pos", "viscous_neg")
 
 
@@ -62,7 +62,7 @@ class Direction(NamedTuple):
 def compute_direction_columns(
     model: Model, motion: Motion, forces: np.ndarray, dt: float
 ) -> tuple[tuple[Direction, ...], np.ndarray]:
-    """Return the possible changes, and how the forces change with each (N, na, D) per unit, along a motion.
+    """Return the possible changes, and the change of the forces by one unit of each (N, na, D), along a motion.
 
     Args:
         model: The model.
@@ -78,7 +78,7 @@ def compute_direction_columns(
 
 
 def list_felt(directions: Sequence[Direction], columns: np.ndarray, forces: np.ndarray) -> tuple[int, ...]:
-    """Return the numbers of the directions that change the forces at all, from columns (N, na, D) and forces (N, na)."""
+    """Return the indices of the directions that affect the forces, from columns (N, na, D) and forces (N, na)."""
     least = _MIN_EFFECT * float(np.sqrt(np.mean(forces**2)))
     sizes = np.sqrt(np.mean(columns**2, axis=(0, 1))) * [d.typical for d in directions]
     return tuple(int(k) for k in np.flatnonzero(sizes > least))
@@ -104,9 +104,9 @@ def _list_friction(model: Model, motion: Motion, forces: np.ndarray) -> list[tup
 
 
 def _list_payload(model: Model, motion: Motion, rigid: np.ndarray) -> list[tuple[Direction, np.ndarray]]:
-    """Return the forces of a point mass at the tool and of its distance from there; nothing for a robot with several ends.
+    """Return the forces of a point mass at the tool and of its distance from there; an empty list if the robot has several ends.
 
-    Of a link whose centre and inertia follow its mass, as those of a plate that never turns, the mass alone changes.
+    If centre and inertia of the link follow its mass, as for a plate that never turns, only the mass changes.
     """
     body = find_end_link(model.robot)
     if body is None:
@@ -134,19 +134,19 @@ def _add_body(model: Model, body: LinkInertia, added: np.ndarray, motion: Motion
 
 
 def list_named(directions: Sequence[Direction]) -> list[Direction]:
-    """Return the directions that a person is told of: each change once."""
+    """Return the directions that are reported: each change once."""
     return [d for d in directions if d.what != "payload_moment"]
 
 
 def group_payload(directions: Sequence[Direction]) -> tuple[int, ...]:
-    """Return the numbers of the directions that one body at the tool has, its mass first; none where no mass is watched for."""
+    """Return the indices of the directions of one body at the tool, its mass first; empty if no mass is monitored."""
     mass = [k for k, d in enumerate(directions) if d.what == "payload"]
     moments = [k for k, d in enumerate(directions) if d.what == "payload_moment"]
     return (*mass, *moments) if mass and moments else ()
 
 
 def _find_tool(model: Model, body: LinkInertia) -> np.ndarray:
-    """Return the tool's place in the frame of the link's joint (3,) [m]; its origin where the tool is elsewhere."""
+    """Return the tool's position in the frame of the link's joint (3,) [m]; the origin if the tool is on another link."""
     tool = model.robot.tool_frame
     if tool is None or int(model.robot.model.frames[tool].parentJoint) != body.joint_id:
         return np.zeros(3)

@@ -1,11 +1,11 @@
-r"""Joint against joint: does every drive measure the same payload?
+r"""Comparison of the joints: does every drive measure the same payload?
 
     tau_j = Y_j theta_j + [loaded] (1 + g_j) L_j pi,     j = 1 .. na joints
 
-`L_j pi` is the force of the payload at joint `j`. Every joint has base parameters and friction of its own, so a wrong scale of
-its force changes nothing but `g_j`. Only ratios of the factors `1 + g_j` can be known: a common factor is a heavier payload. They
-are found by alternating least squares on the joints' triangular factors. Their errors are those of the linear problem at the
-solution (`estimate/covariance.py`), with one joint as the reference.
+`L_j pi` is the force of the payload at joint `j`. Every joint has its own base parameters and friction, so a wrong scale of its
+force changes only `g_j`. Only ratios of the factors `1 + g_j` are identifiable: a common factor is a heavier payload. They are
+estimated by alternating least squares on the joints' triangular factors. Their standard errors are those of the linear problem
+at the solution (`estimate/covariance.py`), with one joint as the reference.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from tau_dyn.parameters import Parameter, Parameters
 _RANK = 1e-7
 """Singular value of unit columns, relative to the largest, below which a combination counts as dependent."""
 _MIN_INFORMATION = 0.01
-"""Share of the information about the payload that makes a joint worth a factor of its own."""
+"""Smallest share of the information about the payload with which a joint gets its own factor."""
 _ITERATIONS = 30
-"""Of alternating least squares; factors of 1.4 converge within ten."""
+"""Largest number of iterations of alternating least squares; factors of 1.4 converge within ten."""
 
 
 @dataclass(frozen=True)
@@ -31,10 +31,10 @@ class DriveGains:
     """The payload's mass as each joint measures it.
 
     Attributes:
-        joints: Joints that feel the payload.
+        joints: Joints that are loaded by the payload.
         factors: Mass by each joint over the mass by the first (k,).
         stderr: Standard errors (k,); zero for the first, the reference.
-        p_value: Chance of such a difference between drives with equal factors.
+        p_value: p-value of the hypothesis that all drives have equal factors.
     """
 
     joints: tuple[str, ...]
@@ -44,12 +44,12 @@ class DriveGains:
 
     @property
     def largest_difference(self) -> float:
-        """Largest factor over the smallest, less one."""
+        """Largest factor over the smallest, minus one."""
         return float(self.factors.max() / self.factors.min() - 1)
 
 
 def compare_drives(estimate: Estimate, payload: tuple[str, ...]) -> DriveGains | None:
-    """Return the factors between the joints; None where fewer than two feel the payload.
+    """Return the factors between the joints; None if the payload loads fewer than two.
 
     Args:
         estimate: A payload's estimate, its columns in the loaded runs alone.
@@ -86,7 +86,7 @@ def compare_drives(estimate: Estimate, payload: tuple[str, ...]) -> DriveGains |
 
 
 def _shift(solved: Estimate, rows: np.ndarray) -> Estimate:
-    """Return the estimate with factors less one, which equal drives have at zero."""
+    """Return the estimate with factors minus one, which are zero for equal drives."""
     return replace(solved, beta_plain=solved.beta_plain - rows.sum(axis=0))
 
 
@@ -99,7 +99,7 @@ def _find_basis(columns: np.ndarray) -> np.ndarray:
 
 
 def _project_out(B: np.ndarray, C: np.ndarray) -> np.ndarray:
-    """Return what columns (n, r) leave of others (n, k)."""
+    """Return the residual of columns (n, k) after projection on others (n, r)."""
     Q, _ = np.linalg.qr(B)
     return C - Q @ (Q.T @ C)
 

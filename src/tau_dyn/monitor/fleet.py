@@ -1,14 +1,15 @@
-r"""Several units of one type: mean and spread of each parameter, outlying units, and a model to start a new unit from.
+r"""Several units of one type: mean and spread of each parameter, outlying units, and a model as prior of a new unit.
 
     b_i = beta_i + e_i,   e_i ~ N(0, s_i^2),   beta_i ~ N(mean, spread^2)          for each base parameter
 
-All units have the base parameters of all logs together; what these leave open is the same number in every unit. `s_i` is a unit's
-standard error. Spread by Paule & Mandel: the weighted squares about the mean are as many as units less one. Intervals are honest
-for few units: of the mean with Student's t and a scale that is estimated (Hartung & Knapp, at least one), of the spread where
-the same squares leave their chi-square distribution (Q profile). A unit is outlying where it leaves the prediction of the others.
+All units have the base parameters of all logs together; undetermined parameters have the same value in every unit. `s_i` is a
+unit's standard error. The spread is estimated by Paule & Mandel: the weighted sum of squares about the mean equals the number of
+units minus one. Intervals are valid for few units: that of the mean uses Student's t and an estimated scale of at least one
+(Hartung & Knapp), that of the spread the chi-square distribution of the same squares (Q profile). A unit is outlying if it is
+outside the prediction interval of the others.
 
-The fleet's model holds the means, and as `prior_stderr` the spread of a new unit; `identify --model` takes these as measured
-beforehand. The spread there is the upper end of its 80 % interval: a prior that is too narrow biases, one too wide costs little.
+The fleet's model holds the means, and as `prior_stderr` the spread of a new unit; `identify --model` uses them as prior
+knowledge. The spread there is the upper end of its 80 % interval: a prior that is too narrow biases, one too wide costs little.
 
 Reference: Paule & Mandel 1982; Hartung & Knapp 2001; Roever, Knapp & Friede 2015; Viechtbauer 2007; DerSimonian & Laird 1986.
 """
@@ -47,10 +48,10 @@ from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import Shown, format_list
 from tau_dyn.robot import Robot
 
-MIN_UNITS = 3  # of which a spread can be told
-_MIN_UNITS_OUTLYING = 4  # from which a unit can be held against the spread of the others
+MIN_UNITS = 3  # from which a spread can be estimated
+_MIN_UNITS_OUTLYING = 4  # from which a unit can be compared with the spread of the others
 _PRIOR_TAIL = 0.10  # below the upper end of the spread that a new unit is given
-_CENTRE_DRAWS = 400  # whose mean lies well inside the consistent set
+_CENTRE_DRAWS = 400  # whose mean is well inside the consistent set
 
 
 class FleetParameter(NamedTuple):
@@ -92,7 +93,7 @@ class FleetParameter(NamedTuple):
 
 
 class OutlyingUnit(NamedTuple):
-    """A unit that leaves the others' prediction: in which parameter, by how much, and the chance over all together."""
+    """A unit outside the others' prediction: the parameter, the difference, and the p-value over all parameters and units."""
 
     unit: str
     parameter: str
@@ -106,11 +107,11 @@ class Fleet(Shown):
 
     Attributes:
         model: Means as values, with the spread of a new unit as `prior_stderr`.
-        units: Their names.
+        units: Names of the units.
         parameters: Mean and spread of each base parameter that three units or more determine.
         outlying: Units that differ from the others.
         warnings: Doubts, as sentences.
-        seed: Of whatever was random.
+        seed: Seed of all random numbers.
     """
 
     model: Model
@@ -156,7 +157,7 @@ def estimate_random_effects(values: np.ndarray, stderr: np.ndarray) -> RandomEff
 
 
 def _solve_spread(values: np.ndarray, stderr: np.ndarray, wanted: float) -> float:
-    """Return the squared spread at which the weighted squares about the mean have a given value; 0 if they are less."""
+    """Return the squared spread at which the weighted sum of squares about the mean has a given value; 0 if it is less."""
 
     def excess(spread2: float) -> float:
         w = 1 / (stderr**2 + spread2)
@@ -186,12 +187,12 @@ def identify_fleet(
         model: Friction model or model, as `identify` takes it.
         choices: Parameters that are fixed, free or bounded.
         exclude: Log columns whose nonzero samples are left out.
-        seed: Of whatever is random.
+        seed: Seed of all random numbers.
         progress: Called with a word for each step.
 
     Raises:
-        InputError: A log or a choice is at fault.
-        CannotAnswer: Fewer than three units, or no parameter that three of them determine.
+        InputError: A log or a choice is invalid.
+        CannotAnswer: There are fewer than three units, or no parameter is determined by three of them.
     """
     if len(units) < MIN_UNITS:
         raise CannotAnswer(
@@ -249,13 +250,13 @@ def identify_fleet(
 
 
 def _find_centre(model: Model, together: Estimate, seed: int) -> dict[str, float]:
-    """Return values of the free parameters well inside the consistent set, so that units have room about them."""
+    """Return values of the free parameters well inside the consistent set, so that the units' values stay inside."""
     drawn = draw_samples(model, together, model.parameters, _CENTRE_DRAWS, seed=seed)
     return dict(zip(drawn.names, drawn.values.mean(axis=0).tolist(), strict=True))
 
 
 def _fix_unseen(regression: Regression, together: Estimate, centre: Mapping[str, float]) -> Regression:
-    """Return the regression with one unknown a base parameter; all other parameters are fixed."""
+    """Return the regression with one unknown per base parameter; all other parameters are fixed."""
     changes: dict[str, dict[str, Any]] = {name: {"value": centre[name]} for name in together.base.names}
     for column in together.base.dropped:
         changes[together.base.names[column]] |= {"free": False, "prior_stderr": None}

@@ -1,4 +1,4 @@
-"""A CSV file that another program still writes, as one log after another: complete lines only, each once."""
+"""A CSV file that another program still writes, read as a sequence of logs: complete lines only, each once."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.log import ColumnMap, Log, read_log
 
 FIRST_S = 60.0
-"""Recording before the first stretch is handed out [s]: the filters are chosen from it."""
+"""Length of the first segment [s]: the filters are chosen from it."""
 STRETCH_S = 10.0
-"""Length of the later ones [s]: an alarm comes so much later at most, and filters lose a tenth of it at the ends."""
+"""Length of later segments [s]: it is the largest delay of an alarm, and filters lose a tenth of it at the ends."""
 _POLL_S = 1.0  # s between two looks at the file
 _MIN_LINES = 20  # fewer make no log
 
@@ -27,9 +27,9 @@ class GrowingFile:
 
     Attributes:
         path: The file.
-        columns: How foreign columns are read.
-        patience_s: Time without a new line after which the recording has ended [s].
-        wait: Sleeps; a test replaces it.
+        columns: Map of foreign columns.
+        patience_s: Time without a new line after which the recording counts as ended [s].
+        wait: Function that sleeps; a test replaces it.
     """
 
     path: Path
@@ -44,10 +44,10 @@ class GrowingFile:
         return self._digest.hexdigest()
 
     def read(self) -> Iterator[Log]:
-        """Yield stretches of the recording until it has ended, or the user interrupts.
+        """Yield segments of the recording until it has ended, or the user interrupts.
 
         Raises:
-            InputError: The file is not text, or a line is at fault.
+            InputError: The file is not text, or a line is invalid.
         """
         if self.path.suffix.lower() not in (".csv", ".txt", ".tsv", ".dat"):
             raise InputError(
@@ -89,7 +89,7 @@ class GrowingFile:
 
 
 def _split_head(lines: list[bytes]) -> tuple[bytes, list[bytes]]:
-    """Return comments and header, once they are there, and the other lines."""
+    """Return comments and header, as soon as they are complete, and the other lines."""
     for k, line in enumerate(lines):
         if not line.lstrip().startswith(b"#"):
             return b"".join(one + b"\n" for one in lines[: k + 1]), lines[k + 1 :]

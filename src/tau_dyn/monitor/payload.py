@@ -1,13 +1,14 @@
-r"""A payload from logs without and with it: its mass, centre and inertia, in one estimate that shares everything else.
+r"""A payload from logs without and with it: its mass, centre and inertia, in one estimate with all other parameters in common.
 
     tau = Y theta + [loaded] (Y_last pi + sum_j (c_j sign(v_j) + d_j v_j))
 
-`pi` are the ten inertial numbers of a rigid body fixed to a link, so that model errors common to both recordings do not reach
-them. Coulomb friction depends on the load that a gear or a guide carries, and on its temperature: each joint's Coulomb and
-viscous friction may differ between empty and loaded, by the same amount in both directions, and a test names the joints where
-it does. The part of load friction that follows the force within the motion stays in the residual, whose scatter the intervals
-allow for. The payload is kept physical: its pseudo-inertia is positive semidefinite (`estimate/physical_consistency.py`).
-Drive gains scale the result: a force scale that is 2 % off makes a mass 2 % off. Reference: Khalil, Gautier & Lemoine 2007.
+`pi` are the ten inertial parameters of a rigid body fixed to a link, so model errors common to both recordings do not affect
+them. Coulomb friction depends on the load of a gear or a guide, and on its temperature: each joint's Coulomb and viscous
+friction may differ between empty and loaded, by the same amount in both directions, and a test names the joints with a
+difference. The part of load friction that follows the force within the motion stays in the residual, whose scatter is part of
+the intervals. The payload is kept physically consistent: its pseudo-inertia is positive semidefinite
+(`estimate/physical_consistency.py`). Drive gains scale the result: a force scale that is 2 % off makes a mass 2 % off.
+Reference: Khalil, Gautier & Lemoine 2007.
 """
 
 from __future__ import annotations
@@ -57,19 +58,19 @@ from tau_dyn.robot import INERTIAL, LinkInertia, Robot
 from tau_dyn.simulate import build_fourier_motion
 
 MIN_DRIVE_DIFFERENCE = 0.05
-"""Relative difference of the mass by two joints that counts; torque constants and the load friction of gears scatter less."""
+"""Smallest relevant difference of the mass by two joints; torque constants and the load friction of gears scatter less."""
 MAX_HIDDEN_SHARE = 0.05
 """Part of the robot's own mass that may hide in the interval of an answer "no payload": an arm's rated payload is a quarter."""
-_EXPERIMENT_S = 20.0  # of the motion by which the length of the one to make is predicted
-_MAX_EXPERIMENT_S = 600.0  # a longer motion than ten minutes is no short one; more accuracy asks for another motion
-_MIN_JOINT_SHARE = 0.1  # of the information about a payload's mass that makes a joint worth naming
-_MIN_LENGTH_M = 0.05  # lever by which a centre counts as known where the payload sits at the frame's origin
+_EXPERIMENT_S = 20.0  # of the simulated motion from which the length of the proposed one is predicted
+_MAX_EXPERIMENT_S = 600.0  # a motion longer than ten minutes is not practical; more accuracy needs another motion
+_MIN_JOINT_SHARE = 0.1  # of the information about a payload's mass: joints with less are not named
+_MIN_LENGTH_M = 0.05  # lever by which a centre counts as known if the payload is at the frame's origin
 
 INERTIA = INERTIAL[4:]
 
 
 class PropertyEstimate(NamedTuple):
-    """Mass, centre or inertia of a payload: values (k,), standard errors (k,; NaN for none), whether they are determined."""
+    """Mass, centre or inertia of a payload: values (k,), standard errors (k,; NaN if unknown), whether they are determined."""
 
     values: np.ndarray
     stderr: np.ndarray
@@ -93,7 +94,7 @@ class PropertyEstimate(NamedTuple):
 
 
 class FrictionDifference(NamedTuple):
-    """By how much one joint's friction is higher in the loaded logs; the p-value counts all joints (Bonferroni)."""
+    """Increase of one joint's friction in the loaded logs; the p-value counts all joints (Bonferroni)."""
 
     joint: str
     coulomb: Parameter
@@ -123,8 +124,8 @@ class PayloadEstimate(Shown):
         mass: Mass.
         centre: Centre in that frame.
         inertia: `ixx ixy iyy ixz iyz izz` about the centre, along the frame's axes.
-        plain_mass: The mass before physics held it [kg].
-        p_value: Chance of such a difference between equal recordings.
+        plain_mass: The mass without the constraint of physical consistency [kg].
+        p_value: p-value of the hypothesis that all recordings have the same load.
         friction: Differences of friction.
         logs: Names of the empty and of the loaded logs.
         estimate: The solved regression.
@@ -156,7 +157,7 @@ class PayloadEstimate(Shown):
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """The payload as a finding; empty where equal recordings differ as much.
+        """The payload as a finding; empty if the difference is not significant.
 
         Its status is `parameter`, since no part of the logs is held out. It is `suspected` if the joints disagree about the mass,
         or if the loaded logs are lighter.
@@ -225,12 +226,12 @@ def identify_payload(
         loaded: The same robot with it; the same motion or another.
         link: Link that carries it; by default the one with the tool, or the tree's only leaf.
         exclude: Log columns whose nonzero samples are left out.
-        seed: Of the motion that is proposed where these are too short.
+        seed: Seed of the motion that is proposed if the logs are too short.
         progress: Called with a word for each step.
 
     Raises:
-        InputError: A log or the link is at fault.
-        CannotAnswer: The logs are too short or too dull, with the motion that would do.
+        InputError: A log or the link is invalid.
+        CannotAnswer: The logs are too short or have too little motion; the error proposes a sufficient motion.
     """
     model = robot if isinstance(robot, Model) else build_model(robot, "asymmetric")
     body = find_carrying_link(model.robot, link)
@@ -286,7 +287,7 @@ def _identify(
 
 
 def _refuse_wrong_wiring(warnings: Sequence[str]) -> None:
-    """Refuse forces of another sign or joint: no payload makes them so, and the difference would be taken for one.
+    """Refuse forces of another sign or joint: no payload causes them, but the difference would be reported as a payload.
 
     Raises:
         InputError: A log has other cabling than the robot file.
@@ -339,12 +340,12 @@ def untie_link(model: Model, body: LinkInertia) -> Model:
 
 
 def add_payload_columns(model: Model, body: LinkInertia, regression: Regression, loaded: set[str]) -> Regression:
-    """Return the regression of a model, a payload and friction that differs, from one whose link has all ten columns.
+    """Return the regression with columns for payload and friction differences, from one whose link has all ten columns.
 
     Args:
         model: The model.
         body: The link that carries the payload.
-        regression: Of the model with this link untied.
+        regression: Regression of the model with this link untied.
         loaded: Names of the runs with the payload.
     """
     names = regression.parameters.names
@@ -372,7 +373,7 @@ def _friction_names(joint: str, law: str) -> tuple[str, ...]:
 
 
 def solve_payload(model: Model, regression: Regression) -> Estimate:
-    """Return the joint estimate, links and payload kept physical."""
+    """Return the joint estimate, with physically consistent links and payload."""
     return solve_least_squares(regression, physics=constrain_loads(build_physical_constraints(model), [""]))
 
 
@@ -416,7 +417,7 @@ def _compare_friction(robot: Robot, estimate: Estimate) -> tuple[FrictionDiffere
 
 
 def _compare_drives(found: PayloadEstimate) -> list[str]:
-    """Return a warning where the joints disagree about the payload, with the mass by each of them."""
+    """Return a warning if the joints disagree about the payload, with the mass by each of them."""
     if not found.differs or not found.mass.values[0] > 0:
         return []
     gains = compare_drives(found.estimate, list_load_names())
@@ -457,7 +458,7 @@ def _refuse_undetermined(
     """Refuse logs that do not determine the mass, and propose a motion that does.
 
     Raises:
-        TooLittleTold: The mass' error is too large for an answer.
+        TooLittleTold: The standard error of the mass is too large for an answer.
     """
     stderr, own = float(found.mass.stderr[0]), _compute_own_mass(model)
     allowed = MAX_HIDDEN_SHARE * own / Z95
@@ -485,14 +486,14 @@ def _compute_own_mass(model: Model) -> float:
 
 
 def _propose_motion(model: Model, body: LinkInertia, sigma: np.ndarray | None, allowed: float | None, seed: int) -> str:
-    """Return which joints to move and how long, from the errors that a Fourier motion of 20 s is predicted to leave.
+    """Return which joints to move and how long, from the standard errors predicted for a Fourier motion of 20 s.
 
     Args:
         model: The model.
         body: The link that carries the payload.
         sigma: Residual deviation of each joint (na,), which enlarges the noise of good drives.
         allowed: Standard error of the mass to reach [kg].
-        seed: Of the motion and its noise.
+        seed: Seed of the motion and its noise.
     """
     seconds, named = _EXPERIMENT_S, list(model.robot.actuated)
     try:
@@ -509,7 +510,7 @@ def _propose_motion(model: Model, body: LinkInertia, sigma: np.ndarray | None, a
             seconds = _EXPERIMENT_S * max(1.0, (stderr / allowed) ** 2)
         named = _list_feeling(estimate)
     except TauDynError:
-        pass  # a robot that cannot make the motion; the advice is then the general one
+        pass  # the robot cannot make the motion; the advice is then general
     length = 10 * np.ceil(min(seconds, _MAX_EXPERIMENT_S) / 10)
     return (
         f"move {format_list(named)} over their range in both directions for {length:g} s, without and then with the payload, "
@@ -518,7 +519,7 @@ def _propose_motion(model: Model, body: LinkInertia, sigma: np.ndarray | None, a
 
 
 def _list_feeling(estimate: Estimate) -> list[str]:
-    """Return the joints that feel a payload's mass most."""
+    """Return the joints with the most information about a payload's mass."""
     column = estimate.regression.parameters.names.index("payload.mass")
     felt = sum(np.sum((run.W[:, :, column] * run.usable) ** 2, axis=0) for run in estimate.regression.runs)
     share = felt / estimate.sigma**2

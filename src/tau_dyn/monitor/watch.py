@@ -3,9 +3,9 @@
 Forces are prepared as identification prepares them (filters, gate around reversals) and the model's own are subtracted; the
 possible changes are in `directions.py`.
 
-The first minute of motion is the reference: whatever the model misses there counts as normal (`change_detection.py`), and its
-residual gives the noise model of each joint. After an alarm the next minute is the new reference. Logs follow each other in the
-order given; a block is 2 s in which a joint moves, and only such blocks count as time.
+The first minute of motion is the reference: its model error counts as normal (`change_detection.py`), and its residual gives
+the noise model of each joint. After an alarm the next minute is the new reference. Logs follow each other in the given order;
+a block is 2 s in which a joint moves, and only such blocks count as time.
 """
 
 from __future__ import annotations
@@ -53,26 +53,26 @@ from tau_dyn.results import Shown
 REFERENCE_S = 60.0
 """Motion from which the normal state is learned [s]: 30 blocks, whose scatter is known to 13 %."""
 MIN_REFERENCE_S = 40.0
-"""Fewest [s]: below 20 blocks the threshold that the false-alarm rate asks for exceeds 12 standard errors."""
+"""Shortest reference [s]: below 20 blocks the threshold for the false-alarm rate exceeds 12 standard errors."""
 _MIN_SHARE = 0.25
-"""Part of a block's samples, over all joints, that must be usable; fewer tell little and scatter much."""
+"""Part of a block's samples, over all joints, that must be usable; fewer carry little information and scatter much."""
 
 
 @dataclass(frozen=True, eq=False)
 class WatchResult(Shown):
-    """What changed while logs were watched.
+    """Changes detected in watched logs.
 
     Attributes:
         model: The model.
-        directions: The changes watched for.
-        unfelt: Changes that the forces of this robot do not show.
-        changes: What changed.
+        directions: The monitored changes.
+        unfelt: Changes that do not affect the forces of this robot.
+        changes: The detected changes.
         trace: Time [s], log and largest statistic over its threshold, of each block.
         logs: Names of the logs.
         watched_s: Motion watched, without references [s].
         reference_s: Motion of each reference [s].
-        rate: Expected false alarms an hour.
-        threshold: In standard errors; NaN where no reference was complete.
+        rate: Expected false alarms per hour.
+        threshold: Threshold in standard errors; NaN if no reference was complete.
         warnings: Doubts, as sentences.
     """
 
@@ -99,7 +99,7 @@ class WatchResult(Shown):
 
     @property
     def watched_for(self) -> list[Direction]:
-        """The changes watched for, each once."""
+        """The monitored changes, each once."""
         return list_named(self.directions)
 
     def to_dict(self) -> dict[str, Any]:
@@ -136,7 +136,7 @@ def build_change_finding(change: DetectedChange, directions: Sequence[Direction]
 
     Args:
         change: The alarm.
-        directions: The changes watched for.
+        directions: The monitored changes.
         watched_h: Motion watched [h], over which a false alarm may occur.
     """
     d = directions[change.direction]
@@ -160,7 +160,7 @@ def build_change_finding(change: DetectedChange, directions: Sequence[Direction]
 
 
 class _Block(NamedTuple):
-    """A block's rows: their times (n,), the residual (n, na), the directions' columns (n, na, D), and which count (n, na)."""
+    """A block's rows: times (n,), residual (n, na), columns of the directions (n, na, D), and the usable entries (n, na)."""
 
     log: str
     t: np.ndarray
@@ -171,18 +171,18 @@ class _Block(NamedTuple):
 
 @dataclass(eq=False)
 class Watch:
-    """Takes log after log of one robot; see the module.
+    """Takes logs of one robot one by one; see the module.
 
     Attributes:
         model: The model of the normal robot.
         reference_s: Motion from which the normal state is learned [s].
-        rate: False alarms an hour.
+        rate: False alarms per hour.
         exclude: Log columns whose nonzero samples are left out.
-        detector: What finds changes; None before the first log.
+        detector: Detector of changes; None before the first log.
         logs: Names of the logs so far.
         warnings: Doubts about the logs.
-        directions: The changes watched for, known from the first log on.
-        unfelt: Changes that the forces do not show.
+        directions: The monitored changes, known from the first log on.
+        unfelt: Changes that do not affect the forces.
     """
 
     model: Model
@@ -210,7 +210,7 @@ class Watch:
             )
 
     def feed(self, log: Log) -> list[dict[str, Any]]:
-        """Take in a log, or the next stretch of one; return the alarms that it completes.
+        """Add a log, or the next segment of one; return the alarms that it completes.
 
         Raises:
             InputError: It lacks a column, or the robot cannot move as logged.
@@ -258,7 +258,7 @@ class Watch:
         )  # fmt: skip
 
     def _cut(self, piece: Log, preparation: Preparation) -> Iterator[_Block]:
-        """Yield the blocks of an even stretch in which something moves."""
+        """Yield the blocks of an evenly sampled segment in which a joint moves."""
         if piece.n_samples < 4 * preparation.factor(piece.rate_hz) or piece.duration < BLOCK_S:
             return
         made = prepare_segment(self.model, piece, preparation)
@@ -316,14 +316,14 @@ def watch_logs(
 
     Args:
         model: The model of the normal robot.
-        logs: In the order of time; stretches of a growing log are logs, too.
+        logs: Logs in the order of time, or segments of a growing log.
         reference_s: Motion from which the normal state is learned [s].
         exclude: Log columns whose nonzero samples are left out.
         progress: Called with a word for each log.
         alarm: Called with each alarm as soon as it is complete.
 
     Raises:
-        InputError: A log is at fault.
+        InputError: A log is invalid.
         CannotAnswer: The logs are not longer than the reference.
     """
     watch = Watch(model, reference_s, exclude=exclude)
@@ -335,7 +335,7 @@ def watch_logs(
 
 
 def fit_noise(blocks: Sequence[_Block]) -> list[Autoregression]:
-    """Return each joint's noise model, of the residual without the directions."""
+    """Return each joint's noise model, fitted to the residual without the directions."""
     D, na = blocks[0].X.shape[2], blocks[0].e.shape[1]
     found = []
     W = np.concatenate([block.X[block.usable] for block in blocks])
@@ -352,7 +352,7 @@ def fit_noise(blocks: Sequence[_Block]) -> list[Autoregression]:
 
 
 def compute_score(block: _Block, noise: Sequence[Autoregression]) -> BlockScore:
-    """Return a block's score and information, its rows made white on their own."""
+    """Return a block's score and information; the rows of each block are whitened separately."""
     run = RegressionRun(block.log, block.t, block.X, block.e, block.usable, block.X, block.e)
     whiten = Whitener.of([run], [block.usable], noise)
     e, X = whiten([block.e]), whiten([block.X])

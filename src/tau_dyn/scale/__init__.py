@@ -1,4 +1,4 @@
-"""Leaving one process: the same function on many items, here, on this machine's cores or on a cluster, in their order."""
+"""Parallel evaluation of one function on many items: in this process, on this machine's cores or on a cluster, in order."""
 
 from lazy_loader import attach_stub
 

@@ -1,7 +1,7 @@
-"""Many items, slowly: every result is written down as it comes, so that a killed run goes on where it stopped.
+"""Journal of a long run over many items: every result is stored as it arrives, so that a killed run resumes where it stopped.
 
-A journal is one JSON object a line: first what is computed and by which code, then one result a line, on the disk before the
-next is waited for. What a kill cut off is the last line at most, and is done again. Results that were just computed pass
+A journal has one JSON object per line: first the task and the hash of the code, then one result per line. Each result is on the
+disk before the next is awaited. A kill cuts off the last line at most, and that item is computed again. New results pass
 through the same text as those read back, so an interrupted run and an undisturbed one give the same bytes.
 """
 
@@ -38,16 +38,16 @@ def run_journaled(
     """Yield `function(item)` for every item in their order; those that the journal holds are not computed again.
 
     Args:
-        function: As for `run_many`; what it returns must be numbers, text, lists and mappings.
-        items: What it is called with.
-        path: The journal; remove it when what came of it is written.
-        name: From an item to a name that no other item has.
-        about: What else decides the results, such as a seed; plain data.
+        function: As for `run_many`; it must return numbers, text, lists and mappings.
+        items: Arguments of the function.
+        path: The journal; remove it after the final output is written.
+        name: Function that returns a unique name of an item.
+        about: Further inputs that decide the results, such as a seed; plain data.
         cluster: Address of a Dask scheduler.
         jobs: Processes on this machine.
 
     Raises:
-        InputError: The journal is of something else, of other code, damaged, or another process writes to it.
+        InputError: The journal belongs to another task or other code, is damaged, or another process writes to it.
     """
     items = list(items)
     head = {"about": _as_read(dict(about or {})), "version": __version__, "code": compute_code_hash()}
@@ -64,7 +64,7 @@ def run_journaled(
 
 @lru_cache(maxsize=1)
 def compute_code_hash() -> str:
-    """Return a hash of this package's source: results of two versions must not meet in one table."""
+    """Return a hash of this package's source: results of two versions must not be mixed in one table."""
     root, digest = Path(__file__).resolve().parents[1], hashlib.sha256()
     for file in sorted(root.rglob("*.py")):
         digest.update(file.relative_to(root).as_posix().encode() + b"\0" + file.read_bytes())
@@ -73,7 +73,7 @@ def compute_code_hash() -> str:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[BinaryIO]:
-    """Open a journal for this process alone; a lock ends with its process, however that ends."""
+    """Open a journal for this process alone; the lock is released whenever the process ends."""
     try:
         file = path.open("a+b")
     except OSError as fault:
@@ -95,7 +95,7 @@ def _opened(path: Path) -> Iterator[BinaryIO]:
 
 
 def _done(file: BinaryIO, path: Path, head: dict[str, Any]) -> dict[str, Any]:
-    """Return the results that stand in a journal; begin it if it is empty, cut off what a kill left of a line."""
+    """Return the results in a journal; start it if it is empty, and remove an incomplete last line."""
     file.seek(0)
     text = file.read()
     whole = text[: text.rfind(b"\n") + 1]

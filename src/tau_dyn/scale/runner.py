@@ -1,9 +1,9 @@
 """One function, many items: in this process, on Dask's embedded scheduler, or on a cluster by its address.
 
-Results come in the items' order whatever finishes first, so what is made of them does not depend on how many workers there
-were. A worker that dies is replaced and its items are done again: they must depend on nothing but themselves. While results are
-awaited, living workers are counted; an embedded cluster that has none is started again, and a cluster that stays without one is
-an error after a stated time. Dask is an extra, `pip install 'tau_dyn[scale]'`, and loaded only when asked for.
+Results come in the items' order, so the output does not depend on the number of workers. A worker that dies is replaced and its
+items are computed again: the result of an item may depend only on the item. While results are awaited, living workers are
+counted. An embedded cluster without workers is started again; a cluster that stays without workers is an error after a stated
+time. Dask is an extra, `pip install 'tau_dyn[scale]'`, and loaded only when it is needed.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ def run_many(
     """Yield `function(item)` for every item, in their order.
 
     Args:
-        function: A function of a module, as it may travel to another process.
-        items: What it is called with; each travels too.
+        function: A function of a module, since it may be sent to another process.
+        items: Arguments of the function; each may be sent to another process, too.
         cluster: Address of a Dask scheduler, such as `tcp://10.0.0.1:8786`; None for this machine.
         jobs: Processes on this machine; 1 runs everything here, without Dask.
 
     Raises:
-        InputError: Dask is not installed, or nothing answers at the address.
+        InputError: Dask is not installed, or no scheduler answers at the address.
         TauDynError: No worker is left, or an item ends each worker that takes it.
     """
     if cluster is None and jobs <= 1:
@@ -87,11 +87,11 @@ def run_on_workers(
     jobs: int,
     ahead: int,
 ) -> Iterator[Any]:
-    """Yield results of items in their order from Dask workers; start an embedded cluster again that has lost all of them.
+    """Yield results of items in their order from Dask workers; restart an embedded cluster that has lost all workers.
 
     Args:
-        prepare: From a client to the function that submits an item to it.
-        items: What is submitted; those under way when the last worker dies are submitted again.
+        prepare: Takes a client and returns the function that submits an item to it.
+        items: Items to submit; those under way when the last worker dies are submitted again.
         cluster: Address of a Dask scheduler; None for an embedded cluster.
         jobs: Processes of an embedded cluster.
         ahead: Items under way for each worker.
@@ -151,7 +151,7 @@ class _Queue(Generic[Item]):
             yield done
 
     def put_back(self) -> None:
-        """Take items under way for not begun."""
+        """Return items under way to the items that have not begun."""
         self.rest = chain([item for item, _ in self.waiting], self.rest)
         self.waiting = deque()
 
@@ -181,7 +181,7 @@ def _await_result(future: Any, client: Any) -> Any:
 
 
 def _count_workers(client: Any) -> int:
-    """Return how many workers the scheduler knows; none where it does not answer."""
+    """Return how many workers the scheduler knows; zero if it does not answer."""
     try:
         return len(client.sync(client.scheduler.ncores, callback_timeout=MAX_TIME_WITHOUT_WORKER_S))
     except (OSError, TimeoutError):

@@ -1,4 +1,4 @@
-"""What a robot controller takes: references and corrections at its sample period, RAPID programs; checked before."""
+"""Input of robot controllers: references and corrections at the sample period, and RAPID programs; checked before use."""
 
 from lazy_loader import attach_stub
 

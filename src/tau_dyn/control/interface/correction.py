@@ -1,7 +1,7 @@
-"""Learned corrections: what is added to the drives' references, and its derivative to their speeds (thesis 3.5).
+"""Learned corrections: a signal added to the drives' references, and its derivative added to their speeds (thesis 3.5).
 
-A file names the motion that it was learnt on (a hash of its reference) and the sample period; added to another motion, at
-another period or beyond its limits it is refused. Columns `t`, `dq_J`, `dv_J` [s, m or rad, per s].
+A file names the motion on which it was learnt (a hash of its reference) and the sample period. A correction is refused for
+another motion, at another period or beyond its limits. Columns `t`, `dq_J`, `dv_J` [s, m or rad, per s].
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ _HEAD = re.compile(r"# correction of motion ([0-9a-f]{16}), a sample every ([0-9
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """What is added to a reference.
+    """A signal that is added to a reference.
 
     Attributes:
         joints: Drives.
         dt: Sample period [s].
-        dq: Added to positions (N, na) [m or rad].
+        dq: Correction of the positions (N, na) [m or rad].
         motion: Hash of the reference that it belongs to.
     """
 
@@ -48,7 +48,7 @@ class Correction:
     motion: str
 
     def __post_init__(self) -> None:
-        """Refuse what is no signal."""
+        """Refuse values that are not a valid signal."""
         if (
             self.dq.ndim != 2
             or self.dq.shape[1] != len(self.joints)
@@ -70,13 +70,13 @@ class Correction:
 
 
 def build_correction(done: LearningHistory, law: UpdateLaw, joints: Sequence[str], *, trial: int = -1) -> Correction:
-    """Return what a learning has learnt, for the drives.
+    """Return the correction of a trial, as a correction of the drives.
 
     Args:
-        done: From `learn`.
-        law: The law that it learnt by; it knows which drives a tool's correction moves.
+        done: Result of `learn`.
+        law: The learning law that was used; it maps a tool's correction to the drives.
         joints: Names of the drives.
-        trial: Which trial's correction; by default the last one's.
+        trial: Index of the trial; the last one by default.
     """
     q = law.side.commands(done.motion, done.corrections[trial])
     return Correction(tuple(joints), done.motion.dt, q - done.motion.q, compute_digest(_reference(done, joints)))
@@ -108,7 +108,7 @@ def require_same_motion(reference: Trajectory, correction: Correction) -> None:
     """Refuse a correction that belongs to another motion.
 
     Raises:
-        InputError: Joints, period, length or the motion itself differ; the message says which.
+        InputError: Joints, period, length or the motion itself differ; the message names the difference.
     """
     if correction.joints != reference.joints:
         raise InputError(
@@ -137,15 +137,15 @@ def write_correction(
     period: float = DEFAULT_PERIOD_S,
     limits: CommandLimits | None = None,
 ) -> None:
-    """Write a correction file, the whole of it or none.
+    """Write a correction file atomically.
 
     Args:
-        path: Where.
+        path: The file.
         model: Robot and effects.
         reference: The motion that it belongs to.
         correction: The correction.
         period: The controller's sample period [s].
-        limits: By default the robot file's, 10 deg of a turning drive and 10 mm of a slide.
+        limits: Limits; default: those of the robot file, with corrections up to 10 deg of a turning drive and 10 mm of a slide.
 
     Raises:
         InputError: See `apply_correction`; or the controller has another sample period.

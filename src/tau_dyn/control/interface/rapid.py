@@ -1,9 +1,9 @@
 r"""A motion as a RAPID module: a list of places with the time to reach each, by `MoveAbsJ` (drives) or `MoveL` (tool).
 
-The robot's own controller interpolates between the places, so fewer than one every 4 ms are needed: those between which
-a straight line, in the drives or in the tool's path, leaves the motion by less than a tolerance, but no move is shorter than
-`MIN_MOVE_S`. `\T` gives each move its time. Corner paths (zonedata) round the places, up to half-way to the next one. What must
-be followed exactly belongs into a reference file.
+The robot's own controller interpolates between the places, so fewer than one every 4 ms are needed: those between which a
+straight line, in the drives or in the tool's path, leaves the motion by less than a tolerance, but no move is shorter than
+`MIN_MOVE_S`. `\T` gives each move its time. Corner paths (zonedata) round the places, up to half-way to the next one. Use a
+reference file for motions that must be followed exactly.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from tau_dyn.robot import Robot
 from tau_dyn.simulate import Trajectory
 
 UNUSED = "9E9"
-AXES = 6  # of a robtarget's robot axes and of its external axes alike (RAPID reference manual)
+AXES = 6  # robot axes of a robtarget, and also its external axes (RAPID reference manual)
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
 _RESERVED = frozenset(
     "alias and backward case connect const default div do else elseif endfor endfunc endif endmodule endproc endrecord "
@@ -31,10 +31,10 @@ _RESERVED = frozenset(
 
 
 def require_rapid_name(name: str, what: str = "a RAPID module") -> str:
-    """Return a name that RAPID takes.
+    """Return a name that is valid in RAPID.
 
     Raises:
-        InputError: It is none, or a word of the language.
+        InputError: The name is not valid, or is a word of the language.
     """
     if not _NAME.fullmatch(name) or name.lower() in _RESERVED:
         raise InputError(
@@ -72,12 +72,12 @@ def format_robtarget(position: np.ndarray, quaternion: np.ndarray) -> str:
 
 
 def format_array(declaration: str, rows: Sequence[str]) -> list[str]:
-    """Return lines that declare a constant array, a row a line."""
+    """Return lines that declare a constant array, one row per line."""
     return [f"  CONST {declaration}{{{len(rows)}}} := [", ",\n".join(f"    {row}" for row in rows), "  ];"]
 
 
 def format_comment(text: str) -> str:
-    """Return a comment line; what is no printable ASCII becomes a question mark."""
+    """Return a comment line; characters that are not printable ASCII become question marks."""
     return f"  ! {re.sub(r'[^ -~]', '?', text)}"
 
 
@@ -95,9 +95,9 @@ class Waypoints(NamedTuple):
 
     Attributes:
         index: Samples of the motion (k,).
-        path: What moves straight: drives (N, na) [m or rad], or the tool (N, 3) [m].
-        poses: Of the tool at all samples; None without a tool, where the drives move straight.
-        deviation: How far straight moves leave the path [m or rad].
+        path: Positions that move straight: drives (N, na) [m or rad], or the tool (N, 3) [m].
+        poses: Poses of the tool at all samples; None if the robot has no tool and the drives move straight.
+        deviation: Largest deviation of the straight moves from the path [m or rad].
     """
 
     index: np.ndarray
@@ -120,11 +120,11 @@ def format_rapid_motion(
 
     Args:
         robot: The robot.
-        motion: What it shall do, corrections included; see `corrected`.
+        motion: The motion, corrections included; see `apply_correction`.
         by: 'joints' for `MoveAbsJ`, 'tool' for `MoveL`.
-        tolerance: How far straight lines between the places may leave the motion [m or rad]; of `MoveL` of the tool's place.
-            `MIN_MOVE_S` goes before it.
-        name: Of the module.
+        tolerance: Largest deviation of straight lines between the places from the motion [m or rad]; for `MoveL` it applies to
+            the tool's position. `MIN_MOVE_S` has priority over it.
+        name: Name of the module.
         tool: RAPID tool data; with 'tool' it must be the robot file's tool frame.
         wobj: RAPID work object; with 'tool' the robot's base.
 
@@ -176,8 +176,8 @@ def build_waypoints(robot: Robot, motion: Trajectory, *, by: str = "joints", tol
 def select_waypoints(t: np.ndarray, path: np.ndarray, tolerance: float) -> np.ndarray:
     """Return indices of the samples (k,) between which straight lines in time stay within a tolerance of a path (N, m).
 
-    From each place the farthest sample is taken that a line reaches so, found by doubling and halving, and at least the first one
-    after `MIN_MOVE_S`; a shorter rest joins the last move.
+    The next place is the farthest sample that a line reaches within the tolerance, found by doubling and halving, but not
+    earlier than the first sample after `MIN_MOVE_S`; a shorter remainder joins the last move.
 
     Raises:
         InputError: More than 4000 are needed.
@@ -214,7 +214,7 @@ def _straight(t: np.ndarray, path: np.ndarray, a: int, b: int, tolerance: float)
 
 
 def _format_zones(found: Waypoints) -> list[str]:
-    """Return corner paths up to half-way to the nearer neighbour, where the tool's way is known; else none."""
+    """Return corner paths up to half-way to the nearer neighbour if the tool's path is known, else the smallest zone."""
     if found.poses is None:
         return ["[FALSE,0.3,0.3,0.3,0.03,0.3,0.03]"] * len(found.index)
     way = 1e3 * np.linalg.norm(np.diff(found.poses.position[found.index], axis=0), axis=1)

@@ -1,16 +1,14 @@
-"""References at the controller's sample period: files of positions, speeds and accelerations, a row a sample.
+"""References at the controller's sample period: files of positions, speeds and accelerations, one row per sample.
 
-CSV with the columns of every motion file here, `t`, `q_ref_J`, `v_ref_J`, `a_ref_J` [s, m or rad, per s, per s^2], so that
-`simulate` reads it too.
+The files are CSV with the columns of all motion files of this package, `t`, `q_ref_J`, `v_ref_J`, `a_ref_J` [s, m or rad, per s,
+per s^2], so `simulate` reads them too.
 
-The controller's sample period: a file that has another one is refused; resampling is asked for, and checked.
+Sample period: a file with another period than the controller's is refused; resampling has to be requested, and is checked. The
+extended IRC5 takes a reference every 4 ms (thesis 3.2). A file at another period would be played too fast or too slow, with
+speeds that were never checked.
 
-The extended IRC5 takes a reference every 4 ms (thesis 3.2). A file at another period would be played too fast or too slow,
-with speeds that nobody checked.
-
-What a drive may be asked for, and whether a controller may be given a motion: every limit is looked at before it is written.
-
-Speeds and accelerations are judged both as the motion states them and as the controller will see them, from sample to sample.
+Limits of the drives: every limit is checked before a motion is written. Speeds and accelerations are checked both as stated in
+the motion and as differences from sample to sample, which the controller sees.
 """
 
 from __future__ import annotations
@@ -28,11 +26,11 @@ from tau_dyn.robot import Robot
 from tau_dyn.simulate import Trajectory, describe_exceeded_limit
 
 PerJoint = float | np.ndarray | list[float] | tuple[float, ...]
-"""A number for all joints, or one a joint (na,)."""
+"""A number for all joints, or one per joint (na,)."""
 
 
 def broadcast_limit(robot: Robot, name: str, given: PerJoint | None, default: PerJoint) -> np.ndarray:
-    """Return one limit a joint (na,), inf for none: what is given, else the default.
+    """Return one limit per joint (na,), inf if unlimited: the given value, else the default.
 
     Raises:
         InputError: A limit that is not above zero, or of the wrong length.
@@ -50,12 +48,12 @@ def broadcast_limit(robot: Robot, name: str, given: PerJoint | None, default: Pe
 
 
 CORRECTION_TURN, CORRECTION_SLIDE = float(np.deg2rad(10.0)), 0.01
-"""Largest correction of a turning drive [rad] and of a slide [m] where none is given."""
+"""Default of the largest correction of a turning drive [rad] and of a slide [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class CommandLimits:
-    """Limits of what is sent to a controller, one a joint (na,); inf for none.
+    """Limits of references for a controller, one per joint (na,); inf if unlimited.
 
     Attributes:
         lower: Lowest position [m or rad].
@@ -83,7 +81,7 @@ class CommandLimits:
         force: PerJoint | None = None,
         correction: PerJoint | None = None,
     ) -> CommandLimits:
-        """Return limits: those given, a number or one a joint, and the robot file's where none is.
+        """Return limits: the given ones, a number or one per joint; the rest from the robot file.
 
         Raises:
             InputError: A limit that is not positive or of the wrong length.
@@ -107,7 +105,7 @@ def check_motion(model: Model, motion: Trajectory, limits: CommandLimits | None 
     """Refuse a motion that leaves a limit; see `list_exceeded_limits`.
 
     Raises:
-        InputError: One sentence that names every broken limit with the joint and the time where it is broken most.
+        InputError: A limit is exceeded; the message names every such limit with the joint and the time of the largest excess.
     """
     broken = list_exceeded_limits(model, motion, CommandLimits.of(model.robot) if limits is None else limits)
     if broken:
@@ -115,10 +113,10 @@ def check_motion(model: Model, motion: Trajectory, limits: CommandLimits | None 
 
 
 def list_exceeded_limits(model: Model, motion: Trajectory, limits: CommandLimits) -> list[str]:
-    """Return what hinders the robot from following a motion, a clause a limit; empty where nothing does.
+    """Return the limits that a motion exceeds, one clause per limit; empty if the robot can follow the motion.
 
     Args:
-        model: Robot with its effects; forces are its, friction included.
+        model: Robot with its effects; it gives the forces, friction included.
         motion: The motion, on the controller's clock.
         limits: The limits.
     """
@@ -144,7 +142,7 @@ def list_exceeded_limits(model: Model, motion: Trajectory, limits: CommandLimits
 
 
 def _larger(stated: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Return what is larger at each sample (N, na), the stated or the one between neighbouring samples (fewer)."""
+    """Return the larger magnitude at each sample (N, na): the stated one or the (fewer) differences of neighbouring samples."""
     out = np.abs(stated)
     for shift in range(len(stated) - len(seen) + 1):
         part = slice(shift, shift + len(seen))
@@ -175,7 +173,7 @@ def _over(
 
 
 def _unrest(motion: Trajectory, units: np.ndarray) -> str:
-    """Say that a motion does not begin or end at rest."""
+    """Return a clause if a motion does not begin or end at rest, else an empty one."""
     top = float(np.abs(motion.v).max())
     for word, v in (("begins", motion.v[0]), ("ends", motion.v[-1])):
         k = int(np.argmax(np.abs(v)))
@@ -196,7 +194,7 @@ def require_period(t: np.ndarray, period: float, name: str) -> None:
     """Refuse a clock (N,) [s] that is not the controller's.
 
     Raises:
-        InputError: Its steps are uneven, or of another size; the message says which.
+        InputError: Its steps are uneven, or of another size; the message names the fault.
     """
     steps = np.diff(t)
     mean = float((t[-1] - t[0]) / len(steps))
@@ -221,11 +219,11 @@ def resample_to_period(motion: Trajectory, period: float, *, resample: bool = Fa
     Args:
         motion: The motion.
         period: The controller's period [s].
-        resample: Allow another clock: every n-th sample where the period is n of the motion's, else the quintic spline through
-            the samples.
+        resample: Allow another clock: every n-th sample if the period is n times the motion's, else the quintic spline
+            through the samples.
 
     Raises:
-        InputError: The period is another one and resampling was not asked for, or it would lose part of the motion.
+        InputError: The period differs and resampling was not requested, or resampling would lose part of the motion.
     """
     if not 0 < period < 1:
         raise InputError(
@@ -248,7 +246,7 @@ def resample_to_period(motion: Trajectory, period: float, *, resample: bool = Fa
 
 
 def count_samples_in_period(motion: Trajectory, period: float) -> int:
-    """Return how many of the motion's samples make one period of the controller; 0 where no whole number does."""
+    """Return how many of the motion's samples make one period of the controller; 0 if the ratio is no whole number."""
     step = motion.duration / (motion.n_samples - 1)
     n = round(period / step)
     even = np.abs(np.diff(motion.t) - step).max() <= _JITTER * step
@@ -298,17 +296,17 @@ def build_reference(
     resample: bool = False,
     limits: CommandLimits | None = None,
 ) -> Trajectory:
-    """Return a motion as a controller may be given it.
+    """Return a motion that is ready for a controller: at its sample period and within the limits.
 
     Args:
         model: Robot and effects.
         motion: The motion.
         period: The controller's sample period [s].
-        resample: Allow interpolation where the motion has another period.
-        limits: By default the robot file's.
+        resample: Allow interpolation if the motion has another period.
+        limits: Limits; default: those of the robot file.
 
     Raises:
-        InputError: The sample period is another one, or a limit is broken.
+        InputError: The sample period differs, or a limit is exceeded.
     """
     found = resample_to_period(motion, period, resample=resample)
     check_motion(model, found, limits)
@@ -324,7 +322,7 @@ def write_reference(
     resample: bool = False,
     limits: CommandLimits | None = None,
 ) -> None:
-    """Write a reference file, the whole of it or none; see `build_reference` for arguments and refusals."""
+    """Write a reference file atomically; see `build_reference` for arguments and errors."""
     build_reference(model, motion, period=period, resample=resample, limits=limits).to_csv(path)
 
 
@@ -345,7 +343,7 @@ def read_reference(path: str | Path, joints: Sequence[str], *, period: float = D
 
 
 def compute_digest(motion: Trajectory) -> str:
-    """Return what tells a motion from another: a hash of joints, period and positions as a file holds them (12 digits)."""
+    """Return a hash that identifies a motion: of joints, period and positions as a file holds them (12 digits)."""
     period = (motion.t[-1] - motion.t[0]) / (motion.n_samples - 1)
     words = [*motion.joints, f"{period:.9g}", *map("%.12g".__mod__, motion.q.ravel().tolist())]
     return hashlib.sha256(",".join(words).encode()).hexdigest()[:16]

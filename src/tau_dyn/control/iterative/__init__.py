@@ -1,4 +1,4 @@
-"""Iterative learning control: filters, stability before anything moves, and learning itself."""
+"""Iterative learning control: filters, stability checks before any motion, and learning itself."""
 
 from lazy_loader import attach_stub
 

@@ -30,8 +30,8 @@ class ActuatorModels(Shown):
     Attributes:
         inputs: Reference columns.
         outputs: Position columns.
-        fits: Of each axis.
-        records: What they were fitted to.
+        fits: Fit of each axis.
+        records: Data of the fits.
     """
 
     inputs: tuple[str, ...]
@@ -68,7 +68,7 @@ class ActuatorModels(Shown):
         return rows
 
     def save(self, path: Path) -> None:
-        """Write the actuators' file, the whole of it or none."""
+        """Write the actuators' file atomically."""
         axes = [
             {"axis": _strip(y), **{n: getattr(f.actuator, n) for n in ("gain", "time_constant", "delay")}}
             for y, f in zip(self.outputs, self.fits, strict=True)
@@ -86,9 +86,9 @@ def fit_actuator_models(
 
     Args:
         logs: Steps or multisines of the references.
-        inputs: Reference columns; by default every `q_ref_J` beside which there is a `q_J`.
+        inputs: Reference columns; by default every `q_ref_J` that has a `q_J`.
         outputs: Position columns, in the order of the inputs.
-        progress: Told how far it is.
+        progress: Called with the progress.
 
     Raises:
         InputError: A column is missing, or no reference is found.
@@ -112,7 +112,7 @@ def read_actuators(path: str | Path, axes: Sequence[str] = ()) -> tuple[Actuator
     """Return the actuators of a file that `ActuatorModels.save` wrote, in the order of axes, or all of them.
 
     Raises:
-        InputError: The file is missing or none of these, an axis is missing, or a value makes no actuator.
+        InputError: The file is missing or no file of actuators, an axis is missing, or a value is out of range.
     """
     content = read_yaml(path)
     if not isinstance(content, dict) or content.get("tau_dyn_actuators") != _FORMAT:

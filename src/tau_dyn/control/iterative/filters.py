@@ -1,13 +1,11 @@
-"""The filters of learning: Q shifts nothing in time, L shifts forwards (thesis 7.10, 7.11).
+"""Filters of iterative learning: zero-phase filters Q and time shifts L (thesis 7.10, 7.11).
 
-Filters that shift nothing in time: a causal filter, then the same backwards, `Q = Qc' Qc` (thesis 7.11).
+A zero-phase filter is a causal filter followed by the same filter backwards, `Q = Qc' Qc` (thesis 7.11). Its magnitude is
+`|Qc|^2`, so a Butterworth filter attenuates by 6 dB, not 3, at its cutoff. Both passes start at rest, which makes the filter
+exactly the matrix of (7.11); signals of learning are zero at both ends anyway.
 
-The magnitude is `|Qc|^2`, so a Butterworth filter has lost 6 dB, not 3, at its cutoff. Both passes start at rest, which makes
-the filter exactly the matrix of (7.11); signals of learning are zero at both ends anyway.
-
-The learning filter `L = gain q^shift` (thesis 7.10): the error that is still to come, times a gain.
-
-The shift makes up for the delay of the plant. Beyond the end the last error is held.
+The learning filter `L = gain q^shift` (thesis 7.10) takes a later sample of the error times a gain. The shift compensates the
+delay of the plant. Beyond the end the last error is held.
 """
 
 from __future__ import annotations
@@ -83,7 +81,7 @@ def design_low_pass(cutoff_hz: float, dt: float, order: int = 2) -> ZeroPhase:
 
 
 def design_band_stop(low_hz: float, high_hz: float, dt: float, order: int = 1) -> ZeroPhase:
-    """Return a Butterworth band-stop, in both directions: nothing is learnt in the middle of the band."""
+    """Return a Butterworth band-stop, in both directions: learning stops in the middle of the band."""
     if not low_hz < high_hz:
         raise InputError(
             "invalid_value", f"a band goes from a lower to a higher frequency, not from {low_hz:g} to {high_hz:g} Hz"
@@ -95,7 +93,7 @@ def build_notch(centre_hz: float, width_hz: float, floor: float, dt: float) -> Z
     r"""Return a filter that takes the magnitude down to `floor` at one frequency and leaves it 1 far from it.
 
     Each pass is `(s^2 + g w s + w0^2) / (s^2 + w s + w0^2)` with `g = sqrt(floor)`, `w` the width [rad/s], mapped by the
-    bilinear transform that keeps the centre. Learning forgets there, but not all.
+    bilinear transform that keeps the centre. Learning is reduced there, but not to zero.
     """
     if not (0 < floor <= 1 and width_hz > 0):
         raise InputError(
@@ -132,7 +130,7 @@ class TimeShift:
     """A gain and a shift forwards in time.
 
     Attributes:
-        gain: Part of the error that one iteration takes away where the plant follows at once.
+        gain: Part of the error that one iteration removes if the plant follows without delay.
         samples: Whole samples.
         dt: Sampling step [s].
     """
@@ -142,7 +140,7 @@ class TimeShift:
     dt: float
 
     def __post_init__(self) -> None:
-        """Refuse what is no filter of this kind."""
+        """Refuse invalid values."""
         if not np.isfinite(self.gain) or self.samples < 0 or not self.dt > 0:
             raise InputError(
                 "invalid_value", "a learning filter has a finite gain, a shift of 0 samples or more and a positive step"
@@ -163,7 +161,7 @@ class TimeShift:
         return self.gain * np.eye(n)[self._places(n)]
 
     def response(self, frequency: np.ndarray) -> np.ndarray:
-        """Return the response (F,) at frequencies (F,) [Hz], ends left aside."""
+        """Return the response (F,) at frequencies (F,) [Hz], without the effects of both ends."""
         return self.gain * np.exp(2j * np.pi * np.asarray(frequency, float) * self.dt * self.samples)
 
     def _places(self, n: int) -> np.ndarray:

@@ -1,18 +1,18 @@
-"""One drive's learning from its trials: each outcome against its prediction, then the next correction or the reason to stop.
+"""Learning of one drive: compare each trial with its prediction, then return the next correction or the reason to stop.
 
-The prediction of a trial is made from the trials before it alone, with the command that the trial then had. Misses widen the
-next interval. A trial above its interval changes the law: the response is estimated with it, the gain is halved, and learning
-goes on from the best trial. After two in a row that brought nothing, learning stops at the best trial's correction.
+The prediction of a trial uses only earlier trials and the command of the trial. Outcomes outside the interval widen the next
+interval. A trial above its interval changes the law: the response is estimated again with this trial, the gain is halved, and
+learning continues from the best trial. After two such trials in a row without improvement, learning stops at the best trial's
+correction.
 
-Which gain, shift and cutoff: those that leave least of the error, among those that let no frequency grow.
-
-At each frequency a trial multiplies the error by `Q (1 - L G)`. G is known with a standard error s, so the mean square of that
-factor is
+Gain, shift and cutoff are those with the smallest remaining error, among those that amplify no frequency. At each frequency a
+trial multiplies the error by `Q (1 - L G)`. G is known with a standard error s, so the mean square of that factor is
 
     m = Q^2 (|1 - L G|^2 + |L|^2 s^2)
 
-A law is admitted where m does not exceed 1 at any frequency. Of these the one is taken that leaves least after a few trials:
-what is not yet learnt, what Q forgets, and what does not repeat and is learnt all the same.
+A law is admitted if m does not exceed 1 at any frequency. The admitted law with the smallest error after a few trials is chosen.
+This error has three parts: the part not yet learnt, the part that Q removes from the correction, and the non-repeating part that
+is learnt nevertheless.
 """
 
 from __future__ import annotations
@@ -54,14 +54,14 @@ _STAY_BELOW = 1.0  # mean square of the growth
 
 @dataclass(frozen=True)
 class LawChoice:
-    """One drive's law, and what it is expected to do.
+    """One drive's law and its expected performance.
 
     Attributes:
-        gain: Of L.
-        shift: Of L [samples].
-        cutoff_hz: Of Q [Hz].
+        gain: Gain of L.
+        shift: Shift of L [samples].
+        cutoff_hz: Cutoff of Q [Hz].
         worst: Largest root mean square of the growth at any frequency.
-        floor: RMS of what stays after many trials [m or rad].
+        floor: RMS of the error that remains after many trials [m or rad].
     """
 
     gain: float
@@ -81,16 +81,16 @@ def choose_law(
     cutoffs: Sequence[float] = CUTOFFS_HZ,
     any_growth: bool = False,
 ) -> LawChoice | None:
-    """Return the best law that is admitted, or None.
+    """Return the best admitted law, or None.
 
     Args:
-        response: From the trials.
-        error: Of the trial that learning goes on from (N,) [m or rad].
-        command: What was added to its reference (N,).
-        gains: Tried.
-        shifts: Tried [samples]; by default around delay and time constant.
-        cutoffs: Tried [Hz].
-        any_growth: Without an admitted law, return the one with the least growth: it is asked for, and the caller judges it.
+        response: Response estimated from the trials.
+        error: Error of the trial from which learning continues (N,) [m or rad].
+        command: Correction in that trial (N,).
+        gains: Gains to try.
+        shifts: Shifts to try [samples]; by default around delay and time constant.
+        cutoffs: Cutoffs to try [Hz].
+        any_growth: If no law is admitted, return the one with the least growth; the caller then judges it.
     """
     E = response.transform(error)
     start = E + response.mean * response.transform(command)
@@ -114,7 +114,7 @@ def choose_law(
 
 
 def list_shifts(response: TrialResponse) -> np.ndarray:
-    """Return shifts from none to beyond delay and time constant [samples]."""
+    """Return shifts from zero to beyond delay and time constant [samples]."""
     longest = int(np.ceil((response.model.delay + response.model.time_constant) / response.dt)) + _MORE_SHIFT
     return np.unique(np.round(np.linspace(0, longest, min(longest + 1, _MAX_SHIFTS))).astype(int))
 
@@ -131,9 +131,9 @@ def compute_growth(
 def _judge(
     response: TrialResponse, E: np.ndarray, start: np.ndarray, Q: np.ndarray, gain: float, shifts: np.ndarray
 ) -> tuple[float, int, float, float]:
-    """Return what the best admitted shift leaves, its index, its worst growth and its floor.
+    """Return the remaining error of the best admitted shift, its index, its worst growth and its floor.
 
-    Where no shift is admitted, infinity and the shift with the least growth.
+    If no shift is admitted, return infinity and the shift with the least growth.
     """
     lead = np.exp(2j * np.pi * np.outer(shifts, response.frequency) * response.dt)
     one = Q * (1 - gain * lead * response.mean)
@@ -151,30 +151,30 @@ def _judge(
 
 Action = Literal["learn", "change", "floor", "stop"]
 
-_WORSE = 1.05  # of the best trial's error: beyond, learning goes on from the best one
-_GAINED = 0.95  # of the error: a median above it promises nothing
+_WORSE = 1.05  # of the best trial's error: beyond it, learning continues from the best one
+_GAINED = 0.95  # of the error: a median above it is no improvement
 _MISSES = 2  # in a row above the interval, until learning stops
-_TRIALS_FOR_A_FLOOR = 3  # fewer do not tell noise from a response that depends on the change
+_TRIALS_FOR_A_FLOOR = 3  # fewer do not separate noise from a response that depends on the change
 _PRIOR_SCORES = 3.0  # trials as spread as predicted that the interval's width starts from
 
 
 @dataclass(frozen=True, eq=False)
 class JointLearning:
-    """One drive.
+    """Learning state of one drive.
 
     Attributes:
-        response: From all trials.
-        given_rms: RMS error of the given actuator on the first trial, None where none was given [m or rad].
-        fitted_rms: That of the actuator fitted to it.
-        forecasts: Of each trial; None for the first.
+        response: Response estimated from all trials.
+        given_rms: RMS error of the given actuator on the first trial [m or rad]; None without a given actuator.
+        fitted_rms: RMS error of the actuator fitted to the first trial.
+        forecasts: Prediction of each trial; None for the first.
         outcomes: RMS errors of the trials where learning acts fully (K,) [m or rad].
-        base: Index of the trial that the next correction starts from.
-        law: None where none is admitted.
+        base: Index of the trial from which the next correction starts.
+        law: The law; None if no law is admitted.
         filtered: Q of the law.
-        correction: The next one (N,).
-        forecast: Of the next trial.
-        convergence: Of the law on the mean response; of a law that is chosen, by the frequency picture.
-        action: `learn`; `change`: the last trial missed its prediction, so the law is another one; `floor`: what is left is
+        correction: The next correction (N,).
+        forecast: Prediction of the next trial.
+        convergence: Convergence of the law on the mean response; for a chosen law, by the frequency condition.
+        action: `learn`; `change`: the last trial missed its prediction, so the law changes; `floor`: the remaining error is
             not expected to fall; `stop`.
         reason: Sentence; empty for `learn`.
     """
@@ -209,7 +209,7 @@ class JointLearning:
 
 @dataclass(frozen=True)
 class LawOptions:
-    """What is asked for of a law; None is chosen."""
+    """Requested values of a law; those that are None are chosen."""
 
     gain: float | None = None
     shift: int | None = None
@@ -217,7 +217,7 @@ class LawOptions:
 
     @property
     def given(self) -> bool:
-        """Whether anything is asked for."""
+        """Whether any value is requested."""
         return any(x is not None for x in (self.gain, self.shift, self.cutoff_hz))
 
 
@@ -231,11 +231,11 @@ def learn_joint(
     """Return the next correction of one drive.
 
     Args:
-        motion: Its motion, with `q` (N, 1).
+        motion: Motion of the drive, with `q` (N, 1).
         sent: Commands of the trials, each (N,) [m or rad], in their order.
-        position: Measured positions, alike.
+        position: Measured positions, in the same form.
         given: A model of the drive; None takes one from the first trial.
-        options: Of the law.
+        options: Options of the law.
 
     Raises:
         CannotAnswer: The command never moves, or the position does not follow it.
@@ -271,7 +271,7 @@ def learn_joint(
 
 
 def _bound_convergence(law: LearningLaw) -> Convergence:
-    """Return the convergence by the frequency picture alone: its largest growth is the singular value of an endless trial."""
+    """Return the convergence by the frequency condition alone: the largest growth is the singular value of an endless trial."""
     picture = compute_frequency_condition(law)
     assert picture is not None  # a law of filters has one
     return Convergence((picture.worst[1],), picture.worst[1], picture)
@@ -323,7 +323,7 @@ def _count_misses(forecasts: Sequence[Forecast | None], outcomes: np.ndarray) ->
 def _choose(
     response: TrialResponse, error: np.ndarray, command: np.ndarray, options: LawOptions, misses: int
 ) -> LawChoice | None:
-    """Return the law: what is asked for, the rest chosen with a gain halved for each miss."""
+    """Return the law: requested values are kept, the others are chosen, with the gain halved for each miss."""
     gains = (options.gain,) if options.gain is not None else tuple(g * 0.5**misses for g in GAINS)
     shifts = None if options.shift is None else (options.shift,)
     cutoffs = CUTOFFS_HZ if options.cutoff_hz is None else (options.cutoff_hz,)
@@ -333,7 +333,7 @@ def _choose(
 def _decide(
     law: LawChoice | None, forecast: Forecast, outcomes: np.ndarray, base: int, misses: int, options: LawOptions
 ) -> tuple[Action, str]:
-    """Return what is done and why."""
+    """Return the next action and its reason."""
     best = f"trial {base + 1}"
     if law is None:
         return "stop", (

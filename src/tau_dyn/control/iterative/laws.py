@@ -1,8 +1,8 @@
-"""How one trial's error becomes the next trial's correction: filters, a norm-optimal law, and a robust filter Q.
+"""Learning laws, from one trial's error to the next correction: filters, a norm-optimal law, and a robust filter Q.
 
 The learning law `u_{k+1} = Q (u_k + L e_k)` (thesis 7.2, 7.6), `Q = Q_w Q_z` (7.13): weights after a zero-phase filter.
 
-Norm-optimal learning, for comparison: each correction minimises what the model expects of the next trial.
+Norm-optimal learning, for comparison: each correction minimises the cost that the model predicts for the next trial.
 
     |W e_{k+1}|^2 + effort |u_{k+1}|^2 + change |u_{k+1} - u_k|^2,   e_{k+1} = e_k - T (u_{k+1} - u_k),   T = F_u + F_y T_uy
 
@@ -11,16 +11,16 @@ matrices in place of filters: with `S = T'W^2 T`, `N = S + effort + change`,
 
     Q = N^-1 (S + change),    Q L = N^-1 T'W^2,    H = Q - Q L T = change N^-1,
 
-so the model's H never has a singular value above `change / (effort + change)`: monotone for every choice. The whole model is
-used, its coupling and its resonances too; the price is a model that errs. Reference: Amann, Owens, Rogers 1996, IEE Proc.;
-Bristow, Tharayil, Alleyne 2006, IEEE Control Systems 26.
+so the model's H never has a singular value above `change / (effort + change)`: convergence is monotone for every choice. The
+whole model is used, its coupling and its resonances too, so errors of the model matter. Reference: Amann, Owens, Rogers 1996,
+IEE Proc.; Bristow, Tharayil, Alleyne 2006, IEEE Control Systems 26.
 
-A filter Q for learning above resonances (thesis 7.4, Figures 7.14, 7.17): a low-pass with a dip wherever one is needed.
+The robust filter Q for learning above resonances (thesis 7.4, Figures 7.14, 7.17) is a low-pass with notches.
 
-Where `|I - L (F_u + F_y T_uy)|` is large, near a resonance, Q has to be small; elsewhere, above the resonance too, it may stay
-near 1 up to the low-pass. Dips are set one at a time, at the frequency that grows most, and deepened or widened until nothing
-grows more than asked. Growth at a frequency is the worse of what the model says there and at frequencies off by the tolerance:
-a resonance that is not quite where the model has it must not be learnt either.
+Near a resonance `|I - L (F_u + F_y T_uy)|` is large and Q has to be small; at other frequencies, also above the resonance, Q may
+stay near 1 up to the low-pass. Notches are added one at a time, at the frequency with the largest growth, and deepened or widened
+until no frequency grows more than allowed. The growth at a frequency is the largest value of the model within the tolerance of
+that frequency: a resonance slightly off its modelled frequency must not be learnt either.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ class UpdateLaw(Protocol):
 
     @property
     def side(self) -> LearnedOutput:
-        """What is learnt."""
+        """The learned output."""
         ...
 
     @property
     def bound(self) -> float | None:
-        """A bound on H's singular values that holds by construction; None where they have to be computed."""
+        """A bound on H's singular values that holds by construction; None if they have to be computed."""
         ...
 
     def update(self, motion: Reference, correction: np.ndarray, error: np.ndarray) -> np.ndarray:
@@ -60,7 +60,7 @@ class UpdateLaw(Protocol):
         ...
 
     def responses(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return Q and L as responses (F, m, m), weights left aside; None where they vary along the trial."""
+        """Return Q and L without weights as responses (F, m, m); None if they vary along the trial."""
         ...
 
 
@@ -69,8 +69,8 @@ class LearningLaw:
     """Filters Q and L.
 
     Attributes:
-        side: What is learnt.
-        forgetting: Q without its weights, one a channel.
+        side: The learned output.
+        forgetting: Q without its weights, one per channel.
         learning: L, the same for all channels.
         bound: None: singular values have to be computed.
     """
@@ -117,7 +117,7 @@ class LearningLaw:
         return w * self.forgetting[channel].matrix(motion.n), self.learning.matrix(motion.n)
 
     def responses(self, frequency: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return Q and L as responses (F, m, m), weights left aside."""
+        """Return Q and L without weights as responses (F, m, m)."""
         eye = np.eye(len(self.forgetting))
         Q = np.column_stack([q.response(frequency) for q in self.forgetting])
         return Q[:, :, None] * eye, self.learning.response(frequency)[:, None, None] * eye
@@ -128,8 +128,8 @@ class NormOptimalLaw:
     """Norm-optimal learning.
 
     Attributes:
-        side: What is learnt.
-        effort: Cost of the correction's size over that of the error.
+        side: The learned output.
+        effort: Cost of the correction's size relative to that of the error.
         change: Cost of the correction's change; a large one learns slowly and averages noise.
     """
 
@@ -139,7 +139,7 @@ class NormOptimalLaw:
     _kept: list[tuple[Reference, tuple[np.ndarray, np.ndarray]]] = field(default_factory=list, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Refuse costs that leave nothing to minimise."""
+        """Refuse negative costs, and costs that are both zero."""
         if min(self.effort, self.change) < 0 or not self.effort + self.change > 0:
             raise InputError("invalid_value", "norm-optimal learning takes costs not below zero, and not both zero")
 
@@ -187,17 +187,17 @@ _TURNS = 300  # notches placed or deepened at most; designs that converge need t
 def design_robust_filter(
     side: LearnedOutput, learning: TimeShift, cutoff_hz: float, *, growth: float = 0.9, tolerance: float = 0.03
 ) -> ZeroPhase:
-    """Return Q.
+    """Return the robust filter Q: a low-pass with notches.
 
     Args:
-        side: What is learnt, with its model.
+        side: The learned output with its model.
         learning: L.
-        cutoff_hz: Up to which frequency is learnt [Hz].
-        growth: Largest growth of an error in an iteration that the model may show, below 1.
+        cutoff_hz: Highest frequency that is learnt [Hz].
+        growth: Largest growth of an error in one iteration, according to the model; below 1.
         tolerance: Relative error of the model's frequencies that is allowed for.
 
     Raises:
-        InputError: Nothing of this form keeps the growth below what is asked.
+        InputError: No filter of this form keeps the growth below `growth`.
     """
     if not 0 < growth < 1 or not 0 <= tolerance < 0.5:
         raise InputError("invalid_value", "a growth between 0 and 1 and a tolerance between 0 and 0.5 are needed")
@@ -229,7 +229,7 @@ def _worst_nearby(f: np.ndarray, side: LearnedOutput, learning: TimeShift, toler
 
 
 def _deepen(dips: dict[float, tuple[float, float]], f: float, factor: float) -> None:
-    """Set a dip at a frequency, or make the one that is there deeper near its centre, wider at its side."""
+    """Add a notch at a frequency, or change an existing one: deeper if the frequency is near its centre, else wider."""
     near = [c for c, (width, _) in dips.items() if abs(f - c) < max(width, 0.1 * c)]
     if not near:
         dips[f] = (0.1 * f, factor)

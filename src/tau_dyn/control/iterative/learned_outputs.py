@@ -1,14 +1,13 @@
-"""What is learnt: the actuators' positions, or the tool's, measured or estimated (thesis 7.3, 7.4).
+"""Learned outputs: positions of the actuators, or of the tool, measured or estimated (thesis 7.3, 7.4).
 
-A side knows four things: its reference r, its estimate of the controlled variable from a trial's measurements, the actuator
-references that a correction gives, and the model `F_u + F_y T_uy` from correction to estimate that stability is judged with. The
-correction is added to the reference of the same side: to actuator references (case 1), or to the tool's reference, which the
-inverse kinematics take to the actuators (cases 2 and 3).
+A learned output (`side`) has four parts: its reference r, its estimate of the controlled variable from a trial's measurements,
+the actuator references for a correction, and the model `F_u + F_y T_uy` from correction to estimate, which the stability test
+uses. The correction is added to the reference of the same side: to actuator references (case 1), or to the tool's reference,
+which the inverse kinematics map to the actuators (cases 2 and 3).
 
-The repeated motion: where actuators and tool should be, and the part of it where learning acts fully.
-
-Before and after that part the correction is faded in and out (thesis 7.12 to 7.14) with one side of a Tukey window: the
-trial's start, which does not repeat well, is not learnt.
+`Reference` is the repeated motion: positions of actuators and tool, and the part in which learning acts fully. Before and after
+that part the correction is faded in and out (thesis 7.12 to 7.14) with one side of a Tukey window: the start of a trial, which
+does not repeat well, is not learnt.
 """
 
 from __future__ import annotations
@@ -70,7 +69,7 @@ class Reference:
 
     @property
     def full(self) -> slice:
-        """Where learning acts fully and errors are judged."""
+        """Samples where learning acts fully and errors are evaluated."""
         return slice(self.first, self.last)
 
     def weights(self) -> np.ndarray:
@@ -84,7 +83,7 @@ class Reference:
 
 
 class TrialMeasurement(Protocol):
-    """What sensors show of one trial, each (N, ...)."""
+    """Sensor signals of one trial, each (N, ...)."""
 
     @property
     def q(self) -> np.ndarray:
@@ -98,7 +97,7 @@ class TrialMeasurement(Protocol):
 
     @property
     def acceleration(self) -> np.ndarray:
-        """Of the tool (N, 3) [m/s^2]."""
+        """Acceleration of the tool (N, 3) [m/s^2]."""
         ...
 
     @property
@@ -108,7 +107,7 @@ class TrialMeasurement(Protocol):
 
 
 class ToolObserver(Protocol):
-    """What estimates tool positions; `ComplementaryToolObserver` and `KalmanToolObserver` do."""
+    """Estimator of tool positions, such as `ComplementaryToolObserver` and `KalmanToolObserver`."""
 
     @property
     def dt(self) -> float:
@@ -129,7 +128,7 @@ class ToolObserver(Protocol):
 
 
 class LearnedOutput(Protocol):
-    """One choice of what is learnt."""
+    """One choice of the learned output."""
 
     @property
     def dt(self) -> float:
@@ -209,11 +208,11 @@ class ToolSide:
     """Tool positions along some axes: measured (case 3), or estimated by an observer (case 2).
 
     Attributes:
-        model: From the tool's reference to the tool, (6.12), along those axes.
-        inverse: Takes tool positions (N, 3) [m] to actuated positions (N, na).
-        axes: Of the tool.
-        observer: Estimates the tool; None where it is measured.
-        kinematic_model: From the tool's reference to the tool computed from the actuators; only an observer needs it.
+        model: Model from the tool's reference to the tool, (6.12), along those axes.
+        inverse: Maps tool positions (N, 3) [m] to actuated positions (N, na).
+        axes: Axes of the tool.
+        observer: Estimator of the tool's position; None if it is measured.
+        kinematic_model: Model from the tool's reference to the tool computed from the actuators; only an observer needs it.
     """
 
     model: StateSpace

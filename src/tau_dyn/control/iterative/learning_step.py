@@ -1,8 +1,8 @@
 """The next correction of a repeated motion from its trials: commands and positions of one trial or several.
 
-Case 1 of the thesis: the drives' positions are learnt. Gain, shift and cutoff that are not asked for are chosen drive by drive,
-from the response that the trials show (`trial_response`, `law_choice`). Every trial is compared with what the trials before it
-predicted (`joint_learning`).
+Case 1 of the thesis: the drives' positions are learnt. Gain, shift and cutoff that are not given are chosen for each drive
+from the response estimated from the trials (`trial_response`, `joint_learning`). Every trial is compared with the prediction
+from the earlier trials (`joint_learning`).
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ _SEEN = 2.0  # times the noise's power that a change has in a band, for its grow
 
 @dataclass(frozen=True)
 class LearningOptions:
-    """How an error becomes a correction; None is chosen.
+    """Options of the learning law; values that are None are chosen.
 
     Attributes:
-        gain: Part of the error that one iteration takes away where the plant follows at once.
-        shift: Of the error forwards in time [samples].
-        cutoff_hz: Up to which frequency is learnt [Hz].
-        lead: Time that learning takes to fade in at the start and out at the end [s].
+        gain: Part of the error that one iteration removes if the plant follows without delay.
+        shift: Shift of the error forwards in time [samples].
+        cutoff_hz: Highest frequency that is learnt [Hz].
+        lead: Time in which learning fades in at the start and out at the end [s].
         monotone: Refuse a law that converges, but not in every single iteration.
     """
 
@@ -48,17 +48,17 @@ class LearningOptions:
 
 @dataclass(frozen=True, eq=False)
 class LearningStep(Shown):
-    """The next correction, and what is known of the learning.
+    """The next correction and the state of the learning.
 
     Attributes:
         joints: Drives.
         dt: Sampling step [s].
         errors: Reference less position in each trial (K, N, m) [m or rad].
         previous: The last trial's correction (N, m).
-        correction: The next one (N, m).
-        expected: Mean error of the next trial (N, m).
-        full: Where learning acts fully.
-        drives: What was found drive by drive.
+        correction: The next correction (N, m).
+        expected: Expected mean error of the next trial (N, m).
+        full: Samples where learning acts fully.
+        drives: Result of each drive.
     """
 
     joints: tuple[str, ...]
@@ -77,7 +77,7 @@ class LearningStep(Shown):
 
     @property
     def convergence(self) -> Convergence:
-        """Of all drives on their mean responses; a drive without a law neither converges nor grows."""
+        """Convergence of all drives on their mean responses; a drive without a law neither converges nor grows."""
         parts = [drive.convergence for drive in self.drives]
         singular = tuple(1.0 if c is None else max(c.singular) for c in parts)
         radius = max(1.0 if c is None else c.radius for c in parts)
@@ -126,7 +126,7 @@ class LearningStep(Shown):
         return sum(inside), len(inside)
 
     def to_rows(self) -> list[dict[str, Any]]:
-        """Return one row a drive: errors [m or rad], the law, and what is done."""
+        """Return one row per drive: errors [m or rad], the law, and the next action."""
         previous, largest = (np.abs(x).max(axis=0) for x in (self.previous, self.correction))
         rows = []
         for k, (joint, drive) in enumerate(zip(self.joints, self.drives, strict=True)):
@@ -142,7 +142,7 @@ class LearningStep(Shown):
         return rows
 
     def to_trial_rows(self) -> list[dict[str, Any]]:
-        """Return one row a trial and drive: its error, what the trials before it predicted, and whether that holds it."""
+        """Return one row per trial and drive: its error, the predicted interval, and whether the error is inside."""
         rows = []
         for joint, drive in zip(self.joints, self.drives, strict=True):
             for k, (rms, forecast) in enumerate(zip(drive.outcomes, drive.forecasts, strict=True)):
@@ -195,13 +195,13 @@ def compute_learning_step(
         joints: Names of the drives.
         dt: Sampling step [s].
         reference: The motion without any correction (N, m) [m or rad].
-        commands: What each trial was told, reference plus correction, in the order of the trials; each (N, m).
+        commands: Command of each trial, reference plus correction, in the order of the trials; each (N, m).
         positions: Measured positions of each trial, on the same clock; each (N, m).
         actuators: A model of each drive; None takes them from the first trial.
-        options: Of the law.
+        options: Options of the law.
 
     Raises:
-        InputError: Shapes differ, the motion is too short, or the law that is asked for would not converge.
+        InputError: Shapes differ, the motion is too short, or the requested law would not converge.
         CannotAnswer: A drive never moves, or does not follow its command.
     """
     if not commands or len(commands) != len(positions):
@@ -233,7 +233,7 @@ def compute_learning_step(
 
 
 def _join(pictures: Sequence[FrequencyCondition]) -> FrequencyCondition | None:
-    """Return the frequency pictures of drives as one."""
+    """Return the frequency conditions of several drives as one."""
     if not pictures:
         return None
     left, bound = (np.column_stack([getattr(p, name) for p in pictures]) for name in ("left", "bound"))

@@ -76,14 +76,14 @@ def stack_controlled_actuators(
 ) -> StateSpace:
     """Return models of controlled actuators side by side, from references to positions, (6.11).
 
-    The delay that all share acts on the inputs; what a single axis has beyond it, whole samples and a part of one, is kept in
+    The common delay acts on the inputs. The additional delay of a single axis, whole samples and a fraction, is represented by
     states that hold its last references.
 
     Args:
-        actuators: One a joint.
+        actuators: One per joint.
         dt: Step [s].
-        jacobian: The tool's (p, na) at the pose; then the way from the tool's reference to the tool computed from the joints,
-            both (p,), is returned. With p below na the other tool directions are not moved.
+        jacobian: Jacobian of the tool (p, na) at the pose. With it, the model from the tool's reference to the tool computed
+            from the joints, both (p,), is returned. If p is below na, the other tool directions are not moved.
     """
     sampled = [a.discrete(dt) for a in actuators]
     shared = min(d for _, _, d in sampled)

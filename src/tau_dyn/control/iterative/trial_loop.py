@@ -1,12 +1,11 @@
-r"""Iterative learning control: repeat a motion, and add to its reference what the last error asks for (thesis chapter 7).
+r"""Iterative learning control: repeat a motion and update a correction of its reference from the last error (thesis chapter 7).
 
-Will learning converge? Judged before anything moves (thesis 7.15 to 7.17, Figures 7.14 and 7.17).
-
-With `H = Q (I - L (F_u + F_y T_uy))` over a whole trial, corrections converge if and only if the spectral radius of H is below
-1, (7.15); they come closer to their limit in every single iteration if its largest singular value is, (7.16). Along a long
-trial the same is seen frequency by frequency: `|1 - L (F_u + F_y T_uy)| < 1 / |Q|` [Norrlof & Gunnarsson 2002]. Where that is
-broken, that frequency grows from trial to trial. A law that is stable but not monotone may do great harm before it converges:
-it is refused unless asked for.
+Convergence is checked before any motion (thesis 7.15 to 7.17, Figures 7.14 and 7.17). With `H = Q (I - L (F_u + F_y T_uy))`
+over a whole trial, corrections converge if and only if the spectral radius of H is below 1, (7.15). They come closer to their
+limit in every single iteration if the largest singular value of H is below 1, (7.16). For a long trial the equivalent
+condition at each frequency is `|1 - L (F_u + F_y T_uy)| < 1 / |Q|` [Norrlof & Gunnarsson 2002]. A frequency that violates it
+grows from trial to trial. A law that is stable but not monotone may cause large errors before it converges: it is refused
+unless requested.
 """
 
 from __future__ import annotations
@@ -26,11 +25,11 @@ from tau_dyn.exceptions import InputError
 
 @dataclass(frozen=True, eq=False)
 class FrequencyCondition:
-    """The frequency picture; responses over frequencies (F,).
+    """Convergence condition at each frequency; responses over frequencies (F,).
 
     Attributes:
-        frequency: [Hz].
-        left: `|1 - L (F_u + F_y T_uy)|` of each channel by itself (F, m).
+        frequency: Frequencies [Hz].
+        left: `|1 - L (F_u + F_y T_uy)|` of each channel alone (F, m).
         bound: `1 / |Q|` of each channel (F, m).
         growth: Largest singular value of the whole `Q (I - L ..)`, coupling included (F,).
     """
@@ -48,19 +47,19 @@ class FrequencyCondition:
 
     @property
     def fails(self) -> tuple[float, float] | None:
-        """Lowest and highest frequency [Hz] where an error grows; None where none does."""
+        """Lowest and highest frequency [Hz] where an error grows; None if no error grows."""
         bad = self.frequency[self.growth >= 1]
         return (float(bad[0]), float(bad[-1])) if len(bad) else None
 
 
 @dataclass(frozen=True, eq=False)
 class Convergence:
-    """What is known before the first trial.
+    """Convergence of a law, computed before the first trial.
 
     Attributes:
-        singular: Largest singular value of H, (7.16); one a channel where channels are apart, else one.
-        radius: Spectral radius of H, (7.15), or a bound above it where that is below 1 already.
-        picture: The frequency picture; None where the law varies along the trial.
+        singular: Largest singular value of H, (7.16); one per channel if the channels are decoupled, else one.
+        radius: Spectral radius of H, (7.15), or an upper bound of it that is already below 1.
+        picture: The frequency condition; None if the law varies along the trial.
     """
 
     singular: tuple[float, ...]
@@ -79,7 +78,7 @@ class Convergence:
 
 
 def analyse_convergence(law: UpdateLaw, motion: Reference, frequency: np.ndarray | None = None) -> Convergence:
-    """Return what (7.15), (7.16) and the frequency picture say of a law on a motion.
+    """Return (7.15), (7.16) and the frequency condition of a law on a motion.
 
     Raises:
         InputError: Law and motion have different sampling steps.
@@ -99,7 +98,7 @@ def analyse_convergence(law: UpdateLaw, motion: Reference, frequency: np.ndarray
 
 
 def build_iteration_operator(law: UpdateLaw, motion: Reference) -> Operator:
-    """Return H (m N, m N), on corrections as they are: zero where they are weighted with zero."""
+    """Return H (m N, m N) for corrections that are zero where their weight is zero."""
     Q, QL = law.operators(motion)
     T = law.side.operator(motion.n)
     on = np.tile(motion.weights() > 0, T.shape[1] // motion.n).astype(float)
@@ -108,7 +107,7 @@ def build_iteration_operator(law: UpdateLaw, motion: Reference) -> Operator:
 
 
 def compute_frequency_condition(law: UpdateLaw, frequency: np.ndarray | None = None) -> FrequencyCondition | None:
-    """Return the frequency picture, by default from 0.1 Hz to half the sampling rate."""
+    """Return the frequency condition, by default from 0.1 Hz to half the sampling rate."""
     dt = law.side.dt
     f = (
         np.concatenate([np.linspace(0.1, 40, 800), np.linspace(40.2, 0.499 / dt, 300)])
@@ -133,7 +132,7 @@ def require_convergence(found: Convergence, *, monotone: bool = True) -> None:
     """Refuse a law that would not converge.
 
     Raises:
-        InputError: It is unstable or, if asked for, not monotone; the message names the frequency where it fails.
+        InputError: It is unstable or, with `monotone`, not monotone; the message names the frequency where it fails.
     """
     if found.stable and (found.monotone or not monotone):
         return
@@ -187,12 +186,12 @@ class LearningHistory:
     """Errors and corrections of all trials; the first has no correction.
 
     Attributes:
-        motion: What was repeated.
-        convergence: What was known beforehand.
-        corrections: Of each trial (k + 1, N, m).
-        errors: What was learnt from, r less its estimate (k + 1, N, m).
-        motor_errors: Actuator references less measured positions (k + 1, N, na), thesis (7.23).
-        tool_errors: The tool's reference less its measured position (k + 1, N, 3) [m], thesis (7.24).
+        motion: The repeated motion.
+        convergence: Convergence computed before the first trial.
+        corrections: Correction of each trial (k + 1, N, m).
+        errors: Errors of the learned output, r minus its estimate (k + 1, N, m).
+        motor_errors: Actuator references minus measured positions (k + 1, N, na), thesis (7.23).
+        tool_errors: The tool's reference minus its measured position (k + 1, N, 3) [m], thesis (7.24).
     """
 
     motion: Reference
@@ -225,7 +224,7 @@ class TrialPlant(Protocol):
         ...
 
     def run(self, reference: np.ndarray, trial: int) -> TrialMeasurement:
-        """Move along actuator references (N, na), from rest, and return what the sensors showed."""
+        """Move along actuator references (N, na), from rest, and return the sensor signals."""
         ...
 
 
@@ -242,13 +241,13 @@ def learn(
     """Learn a motion.
 
     Args:
-        plant: What moves.
-        motion: What is repeated.
-        law: How errors become corrections.
-        iterations: Trials with a correction; one without goes before.
+        plant: The robot, or its simulation.
+        motion: The motion to repeat.
+        law: The learning law.
+        iterations: Number of trials with a correction; one trial without a correction comes first.
         monotone: Refuse a law that converges, but not in every single iteration, (7.16).
         limit: Largest correction that may be sent [m or rad]; by default the size of the motion.
-        first_trial: Number of the first trial; another one meets other disturbances.
+        first_trial: Number of the first trial; another number selects other disturbances.
 
     Raises:
         InputError: The law would not converge, sampling steps differ, or a correction is larger than the limit.

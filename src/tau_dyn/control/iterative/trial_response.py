@@ -1,23 +1,22 @@
-"""What one drive's trials show of its response: a frequency response with its uncertainty, and what does not repeat.
+"""Response of one drive estimated from its trials: a frequency response with its uncertainty, and the non-repeating part.
 
-From trial to trial the command changes by `du`, the position by `dy = G du` plus what does not repeat. A first-order model P
+The command changes by `du` between trials, and the position by `dy = G du` plus a non-repeating part. A first-order model P
 with a delay, fitted to the first trial or given, is multiplied by a complex factor C(f) that varies slowly with frequency:
 
     G = C P,   Z = C X + noise,   X = F(P du),   Z = F(dy)
 
-C has a prior (mean 1, variance from what P leaves of the first trial) and is updated with the changes, later ones counting more:
-a Gaussian posterior in bands that are as wide as a share of their frequency [Ljung 1999, 6.4; Pintelon & Schoukens 2012, 2.6].
-Coulomb friction makes the response depend on the size of a change; that part is in the residual, hence in the uncertainty.
+C has a prior (mean 1, variance from the residual of P on the first trial) and is updated with the changes, later ones with more
+weight: a Gaussian posterior in bands whose width is a share of their frequency [Ljung 1999, 6.4; Pintelon & Schoukens 2012, 2.6].
+Coulomb friction makes the response depend on the size of a change; that part is in the residual and so in the uncertainty.
 
-What the next trial's error will be: its mean, and a 95 % interval of its RMS from draws of what is not known.
-
-With the error e of a trial, part of which (n) does not repeat, and a change du of the command, the next trial has
+The error of the next trial is predicted by its mean and by a 95 % interval of its RMS, from random draws of the unknowns. If a
+trial has the error e, part of which (n) does not repeat, and the command changes by du, the next trial has the error
 
     e' = e - n - G du + n'
 
-G and n have the distributions that the trials gave (`TrialResponse`). The part of e that is n is not learnable and not repeated:
+G and n have the distributions estimated from the trials (`TrialResponse`). The part n of e does not repeat and cannot be learnt:
 given e it has at each frequency the mean `w e` and the variance `(1 - w) S`, `w = S / S_e` (Wiener). Coulomb friction may hold
-the drive: before a change has been seen, the upper end is at least the error as it is.
+the drive: until a change was measured, the upper end of the interval is at least the present error.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ _MODEL_STDERR = 0.05  # of C where P explains the first trial completely: P is n
 _ALTERNATIONS = 3  # of response and noise in turn
 _UPDATES = 50  # of the split into noise and bend; the likelihood then changes below its own spread
 _LEAST_POWER = 1e-30  # m^2 or rad^2, of a transform: below any encoder's, and not zero
-_MAX_VARIANCE = 4.0  # of C where nothing is known: gains up to twice the model's, any phase
+_MAX_VARIANCE = 4.0  # of C without any data: gains up to twice the model's, any phase
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,13 +84,13 @@ class TrialResponse:
         model: P with its parameters.
         dt: Step [s].
         n: Samples of a trial.
-        frequency: [Hz], without zero.
+        frequency: Frequencies [Hz], without zero.
         factor: C, posterior mean.
         stderr: Standard error of C.
         noise: Power of the part of a trial that does not repeat, of its transform (F,) [m^2 or rad^2].
-        bend: Mean square of what a change leaves of `G du`, over `|G du|^2` (F,): a response that depends on the change.
+        bend: Mean square of the residual of `G du`, over `|G du|^2` (F,): not zero if the response depends on the change.
         bands: The band about each frequency.
-        freedom: Real degrees of freedom of the noise; 0 where there is no change yet.
+        freedom: Real degrees of freedom of the noise; 0 before the first change.
     """
 
     model: Actuator
@@ -130,13 +129,13 @@ class TrialResponse:
         return np.fft.irfft(np.concatenate([zero, spectrum]), self.length, axis=0)[: self.n]
 
     def side(self) -> MeasuredSide:
-        """Return what stability is judged with."""
+        """Return the learned output for the stability test."""
         return MeasuredSide(self)
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredSide(OwnPositions):
-    """One drive's position with the response that its trials show.
+    """One drive's position with the response estimated from its trials.
 
     Attributes:
         found: The response.
@@ -177,10 +176,10 @@ def compute_model_response(actuator: Actuator, dt: float, frequency: np.ndarray)
 def choose_model(
     given: Actuator | None, sent: np.ndarray, position: np.ndarray, dt: float
 ) -> tuple[Actuator, float | None, float]:
-    """Return P: of the given actuator and one fitted to a trial the one that explains the trial better.
+    """Return P: the given actuator or one fitted to a trial, whichever explains the trial better.
 
     Args:
-        given: From a file; None for none.
+        given: Actuator from a file, or None.
         sent: Command of the trial (N,) [m or rad].
         position: Its measured position (N,).
         dt: Step [s].
@@ -209,9 +208,9 @@ def estimate_response(
     Args:
         model: P.
         sent: Commands of the trials, each (N,) [m or rad], in their order.
-        position: Measured positions, alike.
+        position: Measured positions, in the same form.
         dt: Step [s].
-        full: Where learning acts fully; what does not repeat is measured there.
+        full: Samples where learning acts fully; the non-repeating part is estimated there.
     """
     n = len(sent[0])
     frequency = np.fft.rfftfreq(count_transform_samples(n), dt)[1:]
@@ -224,7 +223,7 @@ def estimate_response(
         return replace(found, stderr=np.sqrt(variance), noise=blank + _estimate_encoder_power(position[0]))
     weight = (_KEPT_PER_TRIAL ** np.arange(len(pairs))[::-1])[:, None]
     size = _compute_powers(found, [found.model.simulate(du, dt) for du, _ in pairs], full)
-    expected = np.where(size > 0, size, 1.0)  # a change of zero tells nothing of the response, whatever its weight
+    expected = np.where(size > 0, size, 1.0)  # a change of zero has no information about the response, at any weight
     for _ in range(_ALTERNATIONS):
         factor, stderr = _update(found, pairs, weight / expected, variance)
         left = [dy - found.restore(factor * found.transform(found.model.simulate(du, dt))) for du, dy in pairs]
@@ -235,14 +234,14 @@ def estimate_response(
 
 
 def _compute_prior_variance(found: TrialResponse, sent: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Return the variance of C (F,) by what P leaves of a trial's speed."""
+    """Return the variance of C (F,) from the residual of P on a trial's speed."""
     X, Z = _transform_speeds(found, sent, position)
     left, there = found.bands.average(np.abs(Z - X) ** 2), found.bands.average(np.abs(X) ** 2)
     return np.minimum(left / np.maximum(there, 1e-300) + _MODEL_STDERR**2, _MAX_VARIANCE)
 
 
 def _transform_speeds(found: TrialResponse, sent: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return X and Z (F,) of the speeds: a rest at another place than the start adds nothing."""
+    """Return X and Z (F,) of the speeds: an end position that differs from the start has no effect on speeds."""
     X = found.transform(np.diff(found.model.simulate(sent, found.dt)))
     return X, found.transform(np.diff(position))
 
@@ -263,8 +262,8 @@ def _update(
 def _split(size: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return noise (F,) and bend (F,) of residuals' powers (K, F) `2 noise + bend size`, by maximum likelihood.
 
-    Multiplicative updates keep both positive [Fevotte, Bertin, Durrieu 2009, Neural Computation 21]. From changes of one size
-    alone each gets half of the residual.
+    Multiplicative updates keep both positive [Fevotte, Bertin, Durrieu 2009, Neural Computation 21]. If all changes have the
+    same size, each gets half of the residual.
     """
     power = np.maximum(power, max(1e-12 * power.max(), _LEAST_POWER))
     noise, bend = power.min(axis=0) / 4, np.min(power / np.maximum(size, 1e-300), axis=0) / 2
@@ -282,7 +281,7 @@ def _estimate_encoder_power(position: np.ndarray) -> float:
 
 
 def _compute_powers(found: TrialResponse, signals: Sequence[np.ndarray], full: slice) -> np.ndarray:
-    """Return powers (K, F) of signals (N,) that are everywhere as they are where learning acts fully."""
+    """Return powers (K, F) of signals (N,), scaled to the whole trial from the part where learning acts fully."""
     powers = []
     for x in signals:
         inside = np.zeros_like(x)
@@ -327,10 +326,10 @@ def forecast_trial(response: TrialResponse, error: np.ndarray, change: np.ndarra
     """Return the next trial's error.
 
     Args:
-        response: From the trials so far.
-        error: Of the trial that the change starts from (N,) [m or rad].
-        change: Of the command (N,).
-        full: Where learning acts fully.
+        response: Response estimated from the trials so far.
+        error: Error of the trial from which the change starts (N,) [m or rad].
+        change: Change of the command (N,).
+        full: Samples where learning acts fully.
     """
     rng = np.random.default_rng(_SEED)
     E, moved = response.transform(error), response.mean * response.transform(change)

@@ -1,7 +1,7 @@
-"""Stability limit and settings of lead-through for one contact, servo and hand: what `tau-dyn lead-through` finds.
+"""Stability limit and settings of lead-through for one contact, servo and hand: the result of `tau-dyn lead-through`.
 
-The contact's stiffness is given, or the slope of force over position in a log of one touch, of which the command takes
-the upper 95 % limit.
+The contact's stiffness is given, or estimated as the slope of force over position in a log of one touch; the command uses the
+upper 95 % limit of the estimate.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ _STIFFER = np.geomspace(0.1, 10, 61)  # stiffness over the stated one, for the f
 
 @dataclass(frozen=True, eq=False)
 class LeadThroughAdvice(Shown):
-    """What a force loop bears.
+    """Stable settings and stability limits of a force loop.
 
     Attributes:
-        settings: Settings that are stable, with half of the gain that would oscillate.
-        limit: Of the tool's force loop: gain [m/s per N] and frequency of the oscillation.
+        settings: Stable settings, with half of the gain at the stability limit.
+        limit: Stability limit of the tool's force loop: gain [m/s per N] and frequency of the oscillation.
         hand_limit: Stiffest hand [N/m] that may hold the handle, and the frequency.
-        stiffness_stderr: Of the contact's stiffness where a log told it [N/m]; None where it was given.
+        stiffness_stderr: Standard error of the contact's stiffness from a log [N/m]; None if the stiffness was given.
     """
 
     settings: LeadThroughSettings
@@ -39,7 +39,7 @@ class LeadThroughAdvice(Shown):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is close to its limit."""
+        """Settings that are close to their limits."""
         return self.settings.warnings
 
     def to_rows(self) -> list[dict[str, Any]]:
@@ -82,14 +82,14 @@ def advise_lead_through(
     Args:
         loop: Sampling, servo and delay.
         stiffness: The stiffest contact to expect [N/m].
-        mass: Of the handle [kg].
-        damping: Of the handle [N s/m].
-        force_gain: Of the tool force [m/s per N]; None for half of the limit.
+        mass: Mass of the handle [kg].
+        damping: Damping of the handle [N s/m].
+        force_gain: Gain of the tool force [m/s per N]; None for half of the limit.
         hand_stiffness: The stiffest hand [N/m].
-        stderr: Of the stiffness where a log told it [N/m].
+        stderr: Standard error of the stiffness if it was estimated from a log [N/m].
 
     Raises:
-        InputError: A value that makes no sense, or a loop that would be unstable.
+        InputError: A value is out of range, or the loop would be unstable.
     """
     limit = loop.limit(stiffness)
     gain = _SHARE * limit.gain if force_gain is None else force_gain
@@ -101,13 +101,13 @@ def fit_contact_stiffness(position: np.ndarray, force: np.ndarray, threshold: fl
     """Return a contact's stiffness and its standard error [N/m], the slope of force over position while in contact.
 
     Args:
-        position: Of the tool along the contact's normal (N,) [m].
-        force: On the tool (N,) [N].
-        threshold: Force from which on there is contact [N].
+        position: Position of the tool along the contact's normal (N,) [m].
+        force: Force on the tool (N,) [N].
+        threshold: Smallest force that counts as contact [N].
 
     Raises:
         InputError: Shapes differ, or a number is not finite.
-        CannotAnswer: Too little contact, or the force does not grow with the way.
+        CannotAnswer: Too few samples in contact, or the force does not grow with the position.
     """
     if position.shape != force.shape or position.ndim != 1 or not np.isfinite([*position, *force]).all():
         raise InputError("wrong_shape", "position and force are finite columns of one length")

@@ -7,29 +7,26 @@ the tool. The thesis prints `V_t = K (F_ref - F_t)` (8.4) with `F_ref = 2 n` and
 F_t is the force of the tool on the work and n points into the work; taken as a force on the tool, the tool would flee a weak
 contact and dive into a hard one. With F = -F_t it is the same law.
 
-The handle's impedance, and which part of each velocity reference reaches the robot.
-
-The handle's impedance: a mass and a damper without a spring, Dressler 2012, (8.5)-(8.7).
+The handle's impedance is a mass and a damper without a spring, Dressler 2012, (8.5)-(8.7):
 
     A = M^-1 (F_h - D V),   V_h(k + 1) = P_h V_h(k) + T A(k).
 
-The second line is (8.7) multiplied out: its correction `(V_h - P_h V_h) / T` inside the sum puts the integrator back to
-what was applied, every sample. So it cannot wind up behind a velocity limit or a projection; a component that P_h takes
-away is worth one sample of acceleration, `T A`, when the contact ends. (As printed, (8.5) has the index k + 1 beside
-`T / (q - 1)`, which would cost a sample more; meant is the sum up to and with sample k.) D acts on the velocity that was
-applied, the force controller's share included, as in (8.6).
+The second equation is (8.7) multiplied out: its correction `(V_h - P_h V_h) / T` inside the sum resets the integrator to the
+applied velocity in every sample. So it cannot wind up at a velocity limit or a projection: when the contact ends, a component
+that P_h removed starts with one sample of acceleration, `T A`. (As printed, (8.5) combines the index k + 1 with
+`T / (q - 1)`, which would add one sample of delay; the sum up to and including sample k is meant.) D acts on the velocity
+that was applied, the force controller's share included, as in (8.6).
 
-Passive: along one axis, with a = 1 - T D / M, the hand's force F(k) and the velocity V(k + 1) that follows it at once
-have the response `(T / M) z / (z - a)`, whose real part has the sign of `1 - a cos(w T)`: above zero at every frequency
-while |a| < 1, so no motion of the hand draws energy from the robot. With the sample more of the printed index it would
-be the sign of `cos(w T) - a`, below zero over most frequencies. `settings.py` refuses M that is not positive definite, D
-with a negative part, and T M^-1 D of 1 or more. A projection and a velocity limit take energy away.
+The impedance is passive: along one axis, with a = 1 - T D / M, the response from the hand's force F(k) to the next velocity
+V(k + 1) is `(T / M) z / (z - a)`. Its real part has the sign of `1 - a cos(w T)`: above zero at every frequency while
+`|a| < 1`, so no motion of the hand draws energy from the robot. With the additional sample of the printed index it would have
+the sign of `cos(w T) - a`, below zero over most frequencies. `settings.py` refuses M that is not positive definite, D with a
+negative part, and T M^-1 D of 1 or more. A projection and a velocity limit take energy away.
 
-Which part of each velocity reference reaches the robot: the projections P_h and P_t of Dressler 2012, (8.3), (8.8)-(8.11).
-
-Twists are (6,), linear first. The two linear parts are complementary: with contact, P_h keeps what is orthogonal to the
-normal n, `(I - n n') v`, and P_t what is along it, `n n' v`; no direction is driven by both sensors, and none by neither.
-Both are orthogonal projections, so neither can add energy: `|P v| <= |v|`.
+The projections P_h and P_t of Dressler 2012, (8.3), (8.8)-(8.11), select the part of each velocity reference for the robot.
+Twists are (6,), linear first. The two linear parts are complementary: with contact, P_h keeps the component orthogonal to the
+normal n, `(I - n n') v`, and P_t the component along it, `n n' v`; every direction is driven by exactly one sensor. Both are
+orthogonal projections, so neither can add energy: `|P v| <= |v|`.
 """
 
 from __future__ import annotations
@@ -53,7 +50,7 @@ class HandleImpedance:
         self.held = np.zeros(6)
 
     def step(self, wrench: np.ndarray, applied: np.ndarray) -> np.ndarray:
-        """Return the velocity (6,) that the handle asks for.
+        """Return the velocity (6,) requested by the handle.
 
         Args:
             wrench: The hand's force and torque on the handle (6,), world axes at the tool point.
@@ -62,7 +59,7 @@ class HandleImpedance:
         return self.held + self._time * (self._inverse @ (wrench - self._damping @ applied))
 
     def hold(self, projected: np.ndarray) -> None:
-        """Remember what of the answer was really applied (6,): the anti-windup of (8.7)."""
+        """Store the part of the velocity that was really applied (6,): the anti-windup of (8.7)."""
         self.held = projected
 
 
@@ -70,7 +67,7 @@ def handle_part(twist: np.ndarray, normal: np.ndarray, contact: bool) -> np.ndar
     """Return P_h (8.8): the handle moves the tool but never turns it; with contact, only along the surface.
 
     Args:
-        twist: Velocity that the handle asks for (6,) [m/s, rad/s].
+        twist: Velocity requested by the handle (6,) [m/s, rad/s].
         normal: Unit surface normal (3,).
         contact: Whether the tool touches the work.
     """
@@ -82,10 +79,10 @@ def handle_part(twist: np.ndarray, normal: np.ndarray, contact: bool) -> np.ndar
 def compute_tool_part(
     twist: np.ndarray, normal: np.ndarray, contact: bool, turns: bool, locked_axis: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return P_t: the force along the normal (8.9) and, where the tool may turn, all torques (8.11); nothing without contact.
+    """Return P_t: the force along the normal (8.9) and, if the tool may turn, all torques (8.11); zero without contact.
 
     Args:
-        twist: Velocity that the tool's force asks for (6,) [m/s, rad/s].
+        twist: Velocity requested by the tool's force (6,) [m/s, rad/s].
         normal: Unit surface normal (3,).
         contact: Whether the tool touches the work.
         turns: False for (8.9), True for (8.11).
@@ -109,11 +106,11 @@ def limit_twist(twist: np.ndarray, speed: float, turning: float) -> float:
 
 
 _LATE = 0.25  # of a sample time that a reading may be early or late
-_CALM = 0.4  # of the stability limit that the gain is lowered to where the contact proves stiffer than stated
+_CALM = 0.4  # of the stability limit: the gain is lowered to it if the contact is stiffer than stated
 
 
 class ToolPose(Protocol):
-    """Where the tool is: anything that holds a place and a rotation."""
+    """Pose of the tool: any object with a position and a rotation."""
 
     @property
     def position(self) -> np.ndarray:
@@ -130,11 +127,11 @@ class LeadThrough:
     """Turns two wrenches and a pose into a tool velocity, once a sample.
 
     Attributes:
-        settings: What it was built from.
+        settings: Settings of the controller.
         in_contact: The contact state c after the last call.
         normal: The normal after the last call (3,), world axes.
         velocity: The last command (6,).
-        stiffness: What the contact's stiffness along the normal proved to be [N/m]; 0 while unknown.
+        stiffness: Estimated stiffness of the contact along the normal [N/m]; 0 while unknown.
         tool_force: The work's force and torque on the tool after the last call (6,), world axes, filtered.
     """
 
@@ -176,7 +173,7 @@ class LeadThrough:
             time: When the readings were taken [s]; given, a gap that is not the sample time is refused.
 
         Raises:
-            InputError: A reading that is no number, or came at another rate than the settings'.
+            InputError: A reading is not finite, or the sample time differs from the settings.
         """
         rotation = np.asarray(pose.rotation, float)
         if rotation.shape != (3, 3) or not np.isfinite(rotation).all():
@@ -216,7 +213,7 @@ class LeadThrough:
             self.normal = s.normal
 
     def _command(self, hand: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-        """Return (8.3) within all limits, and tell the impedance what came of its wish (8.7)."""
+        """Return (8.3) within all limits, and pass the applied velocity to the impedance (8.7)."""
         s, n = self.settings, self.normal
         target = np.concatenate([s.press * n, np.zeros(3)])
         locked = None if s.locked_axis is None else rotation @ s.locked_axis
@@ -230,12 +227,12 @@ class LeadThrough:
         return share * (by_hand + by_force)
 
     def _borne(self) -> float:
-        """Return the share of the gain that the contact bears."""
+        """Return the share of the gain that is stable in the contact."""
         product = self._gain * self.stiffness
         return min(1.0, self._bearable / product) if self.settings.watch and product > 0 else 1.0
 
     def _relieved(self, twist: np.ndarray) -> np.ndarray:
-        """Return the hand's share without what presses further once the force limit is reached, and with a retreat."""
+        """Return the hand's twist; above the force limit without its pressing component and with a retreat."""
         force = self.tool_force[:3]
         size = float(np.linalg.norm(force))
         if size < self.settings.force_limit or not self.settings.tool_force:

@@ -1,32 +1,30 @@
-"""What the sensors say: the force at the tool, whether it touches, along which normal, how stiff the contact is.
+"""Evaluation of the sensors: the force at the tool, the contact state, the surface's normal and the contact's stiffness.
 
-From a force sensor's reading to the force at the tool point, in world axes, without the weight that hangs on the sensor.
+`ForceSensor` converts a reading to the force at the tool point, in world axes, without the weight of the parts on the sensor.
 
-Whether the tool touches the work: the contact state c of Dressler 2012, (8.3) and Figure 8.2, with hysteresis.
+`ContactState` is the contact state c of Dressler 2012, (8.3) and Figure 8.2, with hysteresis. The thesis does not print how c is
+found. Here contact begins above one threshold and ends below a lower one after a short wait, so that noise cannot toggle it. It
+also ends at once if the hand pulls the tool away with more than the release force (text of 8.4); then it does not begin again
+before the tool is clear.
 
-The thesis does not print how c is found. Here contact begins above one threshold and ends below a lower one, after a short
-wait, so that noise cannot toggle it, or at once when the hand pulls the tool away harder than the release force (8.4's
-text); then it does not begin again before the tool is clear.
+`NormalEstimator` finds the surface's normal from the tool's force: by (8.10) of Dressler 2012, or by a smoother estimate.
 
-The surface's normal from the tool's force: (8.10) of Dressler 2012, and a calmer estimate.
+(8.10) takes `f / |f|` of the last sample, or the nominal normal if the angle between both exceeds the correction range. Noise of
+standard deviation s tilts it by about `s / |f|`, Coulomb friction by `atan(mu)`; both let a share `sin(tilt)` of the hand's
+velocity pass the projection (8.8) into the direction of the force loop. So a wider correction range makes an oscillation larger:
+the noise then drives a loop with little damping.
 
-(8.10) takes `f / |f|` of the last sample, and the nominal normal where that lies further off than the correction range.
-Noise of standard deviation s tilts it by about `s / |f|`, Coulomb friction by `atan(mu)`; both let a share
-`sin(tilt)` of the hand's velocity through the projection (8.8) into the direction that the force loop must keep quiet.
-That is how a wider correction range makes an oscillation larger: the noise then drives a loop that is hardly damped.
+The smoother estimate filters f first and removes friction (the component along the velocity *command*; the thesis had only noisy
+measured velocities for that, while the command is exact). Beyond the range it stays at the edge instead of jumping back.
 
-The calmer estimate smooths f first, takes friction out (what lies along the velocity *command*; the thesis had only noisy
-measured velocities for that, while the command is exact), and beyond the range stops at its edge rather than jump back.
+`StiffnessWatch` estimates the contact's stiffness. A stated stiffness may be wrong: the thesis' gain, right for cardboard, met a
+metal plate. Between samples the force changes by `k` times the motion along the normal, which is known from the joints.
+Regression over a few samples,
 
-How stiff the contact proves to be, and the gain that it bears.
+    k = sum dx df / sum dx^2,   used if sum df^2 is above noise and dx explains at least half of it,
 
-Whoever states a stiffness may be wrong: the thesis' gain, right for cardboard, met a metal plate. Each touch tells: between
-samples the force changes by `k` times the way along the normal, which the joints know. Regression over a few samples,
-
-    k = sum dx df / sum dx^2,   taken where sum df^2 is above noise and dx explains at least half of it,
-
-finds it at the first touch. Since only the product of gain and stiffness counts (`stability.py`), the gain is lowered to a
-share of the limit where the contact is stiffer than stated, and comes back slowly where it is not.
+gives k at the first touch. Since only the product of gain and stiffness counts (`stability.py`), the gain is lowered to a share
+of the limit if the contact is stiffer than stated, and returns slowly if it is not.
 """
 
 from __future__ import annotations
@@ -43,14 +41,14 @@ GRAVITY = np.array([0.0, 0.0, -9.81])
 
 @dataclass(frozen=True, eq=False)
 class ForceSensor:
-    """Where a six-axis sensor sits and what hangs on it; a bare default reads at the tool point in the tool's axes.
+    """Mounting of a six-axis sensor and the mass on it; by default it reads at the tool point in the tool's axes.
 
     Attributes:
         position: The sensor's origin in the tool's frame (3,) [m].
         rotation: Its axes in the tool's frame (3, 3).
-        mass: What hangs on it, past the sensor [kg].
-        centre: That mass' centre in the sensor's frame (3,) [m].
-        offset: What it reads without any load (6,) [N, N m].
+        mass: Mass carried by the sensor [kg].
+        centre: Centre of that mass in the sensor's frame (3,) [m].
+        offset: Reading without any load (6,) [N, N m].
     """
 
     position: np.ndarray = field(default_factory=lambda: np.zeros(3))
@@ -60,7 +58,7 @@ class ForceSensor:
     offset: np.ndarray = field(default_factory=lambda: np.zeros(6))
 
     def __post_init__(self) -> None:
-        """Refuse what is no sensor."""
+        """Refuse invalid values."""
         shapes = {"position": (3,), "rotation": (3, 3), "centre": (3,), "offset": (6,)}
         for name, shape in shapes.items():
             value = np.array(getattr(self, name), float)
@@ -76,10 +74,10 @@ class ForceSensor:
             )
 
     def at_tool(self, reading: np.ndarray, tool_rotation: np.ndarray) -> np.ndarray:
-        """Return the wrench (6,) at the tool point in world axes, the weight taken off.
+        """Return the wrench (6,) at the tool point in world axes, without the weight.
 
         Args:
-            reading: Force and torque on what hangs on the sensor (6,) [N, N m], in the sensor's axes at its origin.
+            reading: Force and torque on the mass at the sensor (6,) [N, N m], in the sensor's axes at its origin.
             tool_rotation: The tool's axes in the world (3, 3).
         """
         turn = tool_rotation @ self.rotation
@@ -89,7 +87,7 @@ class ForceSensor:
         return np.concatenate([force, torque + _cross(tool_rotation @ self.position, force)])
 
     def reading(self, wrench: np.ndarray, tool_rotation: np.ndarray) -> np.ndarray:
-        """Return what the sensor shows (6,) under a wrench (6,) at the tool point in world axes: `at_tool` reversed."""
+        """Return the sensor's reading (6,) for a wrench (6,) at the tool point in world axes: the inverse of `at_tool`."""
         turn = tool_rotation @ self.rotation
         weight = self.mass * GRAVITY
         torque = wrench[3:] - _cross(tool_rotation @ self.position, wrench[:3]) + _cross(turn @ self.centre, weight)
@@ -178,7 +176,7 @@ class NormalEstimator:
         return self._force - (along @ self._force) * along
 
     def _within(self, force: np.ndarray) -> np.ndarray:
-        """Return the direction of a force, turned back to the edge of the range where it lies outside."""
+        """Return the direction of a force; outside the range it is turned back to the edge."""
         across = force - (self.nominal @ force) * self.nominal
         tilt = np.arctan2(np.linalg.norm(across), self.nominal @ force)
         if tilt < 1e-9:
@@ -188,7 +186,7 @@ class NormalEstimator:
 
 
 _SAMPLES = 6  # memory of the regression
-_COHERENT = 0.5  # least squared coherence of force and motion for a stiffness to be read
+_COHERENT = 0.5  # least squared coherence of force and motion for an estimate of the stiffness
 _BACK = 5.0  # [s] in which the estimate falls back
 
 
@@ -196,11 +194,11 @@ class StiffnessWatch:
     """Follows the stiffness along the normal."""
 
     def __init__(self, least_force: float, sample_time: float) -> None:
-        """Know nothing yet.
+        """Start without an estimate.
 
         Args:
-            least_force: Changes of force (root of the sum of squares) below which noise is all there is [N].
-            sample_time: [s].
+            least_force: Changes of force (root of the sum of squares) below which only noise is present [N].
+            sample_time: Time between samples [s].
         """
         self._least, self._fade = least_force, float(np.exp(-sample_time / _BACK))
         self._sums, self._last = np.zeros(3), None
@@ -211,7 +209,7 @@ class StiffnessWatch:
         self._sums, self._last = np.zeros(3), None
 
     def update(self, force: float, place: float) -> float:
-        """Return the stiffness [N/m], 0 while unknown, from the force along the normal [N] and the way into the work [m]."""
+        """Return the stiffness [N/m], 0 while unknown, from the force along the normal [N] and the position into the work [m]."""
         self.stiffness *= self._fade
         if self._last is not None:
             df, dx = force - self._last[0], place - self._last[1]

@@ -1,4 +1,4 @@
-"""What a lead-through controller is built from, checked before anything moves."""
+"""Settings of a lead-through controller, checked before any motion."""
 
 from __future__ import annotations
 
@@ -126,10 +126,10 @@ TASKS = ("surface", "peg")
 
 @dataclass(frozen=True, eq=False)
 class LeadThroughSettings:
-    """Gains, limits and what is known of the contact; Dressler 2012, 8.3. World axes at the tool point throughout.
+    """Gains, limits and properties of the contact; Dressler 2012, 8.3. World axes at the tool point throughout.
 
-    For a peg take the tool point at its root: a side force at the tip then turns the peg along the wall. About its tip it would
-    have no lever, and stay pressed.
+    For a peg choose the tool point at its root: a side force at the tip then turns the peg along the wall. With the tool point
+    at the tip the force would have no lever, and the peg would stay pressed.
 
     Diagonals may be given as a number, three or six of them; they are kept as 6 x 6 matrices, linear first.
 
@@ -137,15 +137,15 @@ class LeadThroughSettings:
         mass: M of the handle (8.6) [kg, kg m^2].
         damping: D of the handle [N s/m, N m s/rad].
         force_gain: K of the tool force (8.4) [m/s per N, rad/s per N m].
-        tool_force: False leads by the handle alone, as with one sensor, for comparison; the force limit then protects nothing.
+        tool_force: False leads by the handle alone, as with one sensor, for comparison; the force limit then has no effect.
         task: 'surface' keeps a force along the normal (8.9); 'peg' lets the torques turn the tool too (8.11).
-        press: Force along the normal that contact is kept at, 2 in the thesis' surface, 0 for its peg [N].
+        press: Force along the normal in contact [N]; the thesis uses 2 for a surface and 0 for a peg.
         normal: Nominal unit normal, from the work to the tool (3,).
         correction_range: How far the normal may be corrected [rad].
         normal_hz: Corner of the filter on the force that gives the normal [Hz]; None takes (8.10) as printed.
         contact_on: Force at which contact begins [N].
         contact_off: Force below which it ends [N].
-        torque_on: Torque that counts as `contact_on` where the tool may turn [N m].
+        torque_on: Torque that counts as `contact_on` if the tool may turn [N m].
         contact_wait: Time below `contact_off` before contact ends [s].
         release_force: Pull of the hand along the normal that ends contact [N].
         speed_limit: Largest speed of the tool [m/s].
@@ -153,13 +153,13 @@ class LeadThroughSettings:
         force_limit: Force on the tool above which no command presses further and the tool gives way [N].
         contact_stiffness: The stiffest contact to expect, tool, sensor and work in series [N/m].
         contact_damping: Its damping [N s/m].
-        watch: Whether the gain is lowered where the contact proves stiffer than it bears (`sensing.py`).
-        turning_stiffness: The same against turning about the tool point [N m/rad]; needed where the tool may turn.
+        watch: Whether the gain is lowered if the contact is too stiff for it (`sensing.py`).
+        turning_stiffness: Largest stiffness against turning about the tool point [N m/rad]; needed if the tool may turn.
         hand_stiffness: The stiffest hand to expect [N/m].
         locked_axis: Axis in the tool's frame (3,) about which the tool must not turn, or None.
         loop: Sampling, servo and delay between a force and the motion that it causes.
-        handle_sensor: Where the handle's sensor sits.
-        tool_sensor: Where the tool's sensor sits.
+        handle_sensor: Mounting of the handle's sensor.
+        tool_sensor: Mounting of the tool's sensor.
     """
 
     contact_stiffness: float
@@ -190,10 +190,10 @@ class LeadThroughSettings:
     tool_sensor: ForceSensor = field(default_factory=ForceSensor)
 
     def __post_init__(self) -> None:
-        """Check everything.
+        """Check all settings.
 
         Raises:
-            InputError: A value that makes no sense or a loop that would be unstable; the sentence says which and why.
+            InputError: A value is out of range or a loop would be unstable; the sentence names it with the reason.
         """
         if self.task not in TASKS:
             raise UnknownName("task of lead-through", self.task, TASKS)

@@ -1,19 +1,19 @@
-r"""How stiff a contact, or how high a gain, a force loop bears before it oscillates.
+r"""Stability limit of a force loop: the contact stiffness, or the gain, at which it begins to oscillate.
 
 Along one axis the tool has position x, speed v and a servo that follows a velocity command u with bandwidth w_b. The
 command is held over a sample T, so the plant is known exactly at the samples,
 
     v+ = e v + (1 - e) u,   x+ = x + a v + (T - a) u,   e = exp(-w_b T),   a = (1 - e) / w_b,
 
-and the contact answers with f = k x + c v. With u = -K f, d samples late and behind a first-order filter, the loop is
-`K G(z)`, G the force per velocity command. It oscillates at the lowest gain where `K G = -1`, hence
+and the contact force is f = k x + c v. With u = -K f, d samples late and after a first-order filter, the loop is `K G(z)`, G
+the force per velocity command. It oscillates at the lowest gain with `K G = -1`, therefore
 
     K_max = min 1 / |G(exp(j w T))|   over the w at which G is real and negative.
 
-For c = 0 the loop is an integrator with about the delay `T_d = T / 2 + d T + 1 / w_b`; where that is long against T, the
-rule of thumb is `K_max k = pi / (2 T_d)` (a lower bound, since a servo also attenuates) at `1 / (4 T_d)`. So only the
-product of gain and stiffness counts, and the frequency tells the delay, not the stiffness. Åström & Murray 2008, ch. 9;
-delay and stiffness in force control: Whitney 1977.
+For c = 0 the loop is an integrator with about the delay `T_d = T / 2 + d T + 1 / w_b`. If that is long compared with T, the
+rule of thumb is `K_max k = pi / (2 T_d)` (a lower bound, since a servo also attenuates) at `1 / (4 T_d)`. So only the product
+of gain and stiffness counts, and the frequency depends on the delay, not on the stiffness. Åström & Murray 2008, ch. 9; delay
+and stiffness in force control: Whitney 1977.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _GRID = 2000  # frequencies over four decades, 500 a decade
 
 
 class StabilityLimit(NamedTuple):
-    """Where a loop loses its stability.
+    """Stability limit of a loop.
 
     Attributes:
         gain: The lowest gain at which it oscillates [m/s per N, or rad/s per N m].
@@ -43,13 +43,13 @@ class StabilityLimit(NamedTuple):
 
 @dataclass(frozen=True)
 class ForceLoop:
-    """What stands between a force sample and the motion it causes.
+    """Dynamics between a force sample and the motion that it causes.
 
     Attributes:
         sample_time: Time between samples [s].
         servo_hz: Bandwidth of the servo that follows velocity commands [Hz].
         delay: Whole samples from a measurement to the command that follows it.
-        filter_hz: Corner of a first-order low-pass on the tool force [Hz]; inf for none.
+        filter_hz: Corner of a first-order low-pass on the tool force [Hz]; inf without a filter.
     """
 
     sample_time: float = 0.004
@@ -119,7 +119,7 @@ class ForceLoop:
     def matrix(self, gain: float, stiffness: float, damping: float = 0.0) -> np.ndarray:
         """Return the closed loop's state matrix; its states are x, v, the filtered force and the commands on their way.
 
-        Its largest eigenvalue by magnitude is above one exactly where `gain` is above `limit(..).gain`.
+        Its largest eigenvalue by magnitude is above one exactly if `gain` is above `limit(..).gain`.
         """
         n = 3 + self.delay
         unit = np.eye(n)

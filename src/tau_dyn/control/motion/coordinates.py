@@ -1,25 +1,23 @@
-"""What the optimiser moves: the actuated positions themselves, or one number that says how far along a path the robot is.
+"""Coordinates of the optimisation: the actuated positions themselves, or the path parameter of the robot.
 
-Both are `n` coordinates x over the normalised time, with x' and x'' by it; a motion of duration T has
+Both are `n` coordinates x over the normalised time, with derivatives x' and x''. A motion of duration T has
 
     free:          q = x,     v = x'/T,        a = x''/T^2
     along a path:  q = q(s),  v = q_s s'/T,    a = (q_ss s'^2 + q_s s'')/T^2      (Bobrow, Dubowsky & Gibson 1985)
 
-so that a path restricts a motion by nothing but another choice of coordinates (Dressler 2012, section 3.5).
+so that a path restricts a motion only by another choice of coordinates (Dressler 2012, section 3.5).
 
-A tool path as actuated positions over its own parameter: `q(s)`, s from 0 to 1, s in proportion to the tool's way.
+`JointPath` is a tool path as actuated positions `q(s)`, s from 0 to 1, in proportion to the distance of the tool along the path.
+The path is a straight line or a cubic spline through points; its orientation turns evenly from start to end. Poses along it are
+solved in one branch (`kinematics.follow_path`) and joined by a quintic spline, which has two continuous derivatives and two more
+for the derivatives of the program.
 
-The path is a straight line or a cubic spline through points, its orientation turns evenly from the start's to the end's. Poses
-along it are solved in one branch (`kinematics.follow`) and joined by a quintic spline, which has two continuous derivatives
-and two more that the optimiser asks for.
-
-A motion at its nodes, all the unknowns of the program, and the motion between them.
-
-Between N + 1 even nodes the acceleration is linear in time, so speeds and positions follow exactly (d = 1/N):
+`Nodes` holds all unknowns of the program: the motion at its nodes. Between N + 1 even nodes the acceleration is linear in time,
+so speeds and positions follow exactly (d = 1/N):
 
     x'_k+1 = x'_k + d/2 (x''_k + x''_k+1),   x_k+1 = x_k + d x'_k + d^2 (x''_k / 3 + x''_k+1 / 6)
 
-The trapezoidal speed profile that a search starts from: a third each of constant acceleration, speed and deceleration.
+A search starts from a trapezoidal speed profile: one third each of constant acceleration, speed and deceleration.
 """
 
 from __future__ import annotations
@@ -46,7 +44,7 @@ PathShape = Literal["line"] | np.ndarray
 SAMPLES = 241  # points on a path, an odd number so that one is its middle
 _FINE = 20  # samples of a spline between two points, to measure its way
 _OFF = 1e-6  # [m or rad] error of the spline between samples beyond which it is not the path
-_MAX_COORDINATE_M = 1e6  # [m] nothing that a robot reaches is as far
+_MAX_COORDINATE_M = 1e6  # [m] beyond the reach of any robot
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +53,7 @@ class JointPath:
 
     Attributes:
         q: Spline of degree 5 over s in [0, 1], values (na,) [m or rad].
-        length: Way of the tool [m]; of a path in joint space, the distance there.
+        length: Length of the tool's path [m]; for a path in joint space, the distance in joint space.
     """
 
     q: BSpline
@@ -77,12 +75,12 @@ def build_tool_path(
     Args:
         model: The robot.
         start: Actuated positions at its start (na,).
-        end: And at its end.
+        end: Actuated positions at its end (na,).
         shape: 'line', or points (n, 3) [m] between or including both ends.
         limits: The joints' ranges and the conditioning are checked along it.
 
     Raises:
-        InputError: It leaves the workspace, a joint's range, or the branch, or comes near a singularity.
+        InputError: The path leaves the workspace, a joint's range, or the branch, or comes near a singularity.
     """
     poses, length = _poses(model, start, end, shape)
     s = np.linspace(0, 1, len(poses.position))
@@ -110,7 +108,7 @@ def _poses(model: Model, start: np.ndarray, end: np.ndarray, shape: PathShape) -
 
 
 def _points(shape: PathShape, ends: np.ndarray) -> np.ndarray:
-    """Return the points (n, 3) of a path, both ends included and none twice."""
+    """Return the points (n, 3) of a path, both ends included, without repetition."""
     if isinstance(shape, str):
         if shape != "line":
             raise InputError("invalid_value", f"the path is 'line' or points (n, 3) [m], not '{shape}'")
@@ -166,7 +164,7 @@ def _check_range(model: Model, q: np.ndarray, poses: Poses, limits: MotionLimits
 
 
 def _check_spline(model: Model, spline: BSpline, poses: Poses, start: np.ndarray) -> None:
-    """Refuse a path whose positions change too sharply for the spline, as beside a singularity of an arm."""
+    """Refuse a path whose positions change too sharply for the spline, as near a singularity of an arm."""
     s = np.linspace(0, 1, len(poses.position))
     middle = (s[1:] + s[:-1]) / 2
     place = forward_kinematics(model.robot, spline(middle)).poses.position
@@ -232,7 +230,7 @@ class Free(Coordinates):
     """The actuated positions."""
 
     def __init__(self, path: JointPath, lower: np.ndarray, upper: np.ndarray) -> None:
-        """Take both ends, and where to start searching, from a path."""
+        """Take both ends, and the start of the search, from a path."""
         self.path, self.lower, self.upper = path, lower, upper
         self.start, self.end = path.q(0.0), path.q(1.0)
 
@@ -270,7 +268,7 @@ class Along(Coordinates):
         return _chained(self.path.q, x, dx, ddx, T)
 
     def along(self, s: np.ndarray, ds: np.ndarray, dds: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return them as they are."""
+        """Return them unchanged."""
         return s[:, None], ds[:, None], dds[:, None]
 
 
@@ -287,7 +285,7 @@ def _spline(spline: BSpline, x: Any) -> Any:
     return import_casadi().bspline(x, coefficients, [spline.t.tolist()], [int(spline.k)], spline.c.shape[1])
 
 
-_FLAT = 1e-3  # share of the largest inner unknown below which none is scaled
+_FLAT = 1e-3  # share of the largest inner unknown: least scale of all of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,7 +295,7 @@ class Nodes:
     Attributes:
         x: Coordinates (N + 1, n).
         dx: Their derivative by the normalised time.
-        ddx: And the second.
+        ddx: Their second derivative.
         p: Passive joints at nodes and middles (2 N + 1, n_p).
         y: Solutions of the inner systems there (2 N + 1, n_y), in the law's units.
         T: Duration [s].
@@ -328,7 +326,7 @@ def start_nodes(law: ForceLaw, coordinates: Coordinates, profile: tuple[np.ndarr
 
     Args:
         law: The forces.
-        coordinates: What moves.
+        coordinates: Coordinates of the motion.
         profile: Share of the way, speed and acceleration by the normalised time, at nodes and middles (2 N + 1,).
         T: Duration [s].
     """
@@ -341,10 +339,10 @@ def start_nodes(law: ForceLaw, coordinates: Coordinates, profile: tuple[np.ndarr
 
 
 def scale_unknowns(law: ForceLaw, start: Nodes) -> tuple[ForceLaw, Nodes]:
-    """Return forces and start with inner unknowns measured by their largest value at the start.
+    """Return the force law and the start with inner unknowns scaled by their largest value at the start.
 
-    They are speeds, accelerations and forces of the passive joints, some a thousand times larger than others; the solver treats a
-    unit of each alike, and takes small steps where they differ (measured in docs/explanation/control.md).
+    Inner unknowns are speeds, accelerations and forces of the passive joints, some a thousand times larger than others. The
+    solver treats one unit of each equally, and takes small steps if they differ (measured in docs/explanation/control.md).
     """
     size = np.abs(start.y).max(axis=0, initial=0.0)
     size = np.maximum(size, max(_FLAT * size.max(initial=0.0), 1e-6))
@@ -352,7 +350,7 @@ def scale_unknowns(law: ForceLaw, start: Nodes) -> tuple[ForceLaw, Nodes]:
 
 
 def build_node_motion(coordinates: Coordinates, nodes: Nodes, share: np.ndarray, T: float) -> Actuated:
-    """Return the joints' motion (M, na) at shares (M,) of the duration, exactly as the nodes say, over a duration T [s]."""
+    """Return the joints' motion (M, na) at shares (M,) of the duration T [s], exactly as defined by the nodes."""
     N = len(nodes.x) - 1
     k = np.minimum((share * N).astype(int), N - 1)
     h = (share - k / N)[:, None]
@@ -365,7 +363,7 @@ def build_node_motion(coordinates: Coordinates, nodes: Nodes, share: np.ndarray,
 _THIRD = 1 / 3  # of the time each for speeding up, cruising and slowing down: least peak power
 _FIRST, _LAST = 0.02, 300.0  # [s] shortest and longest duration that is tried
 _GROWTH = 1.15  # factor on the duration of a first guess until limits hold
-_FALLBACK = 2.0  # [s] where weight alone is beyond a limit on the way
+_FALLBACK = 2.0  # [s] if weight alone exceeds a limit on the way
 _MIN_SPEED = 1e-3  # [m/s or rad/s]
 
 
@@ -401,7 +399,7 @@ def compute_min_duration(
 def compute_smoothing_width(
     coordinates: Coordinates, profile: tuple[np.ndarray, ...], T: float, intervals: int
 ) -> np.ndarray:
-    """Return the speed (na,) within which friction changes its sign: what the profile gains in half an interval."""
+    """Return the speed (na,) within which friction changes its sign: the gain of the profile in half an interval."""
     x, dx, ddx = coordinates.along(*profile)
     _, v, _ = coordinates.motion(x, dx, ddx, T)
     return np.maximum(np.abs(v).max(axis=0) / (2 * _THIRD * intervals), _MIN_SPEED)

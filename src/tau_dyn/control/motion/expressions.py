@@ -1,9 +1,9 @@
-"""A model's forces as casadi expressions, for a solver that asks for exact first and second derivatives.
+"""A model's forces as casadi expressions, for a solver that needs exact first and second derivatives.
 
-The expressions are those that the C export writes out (`codegen/program.py`): the mechanism's and the effects' own code, run
-once on symbols and compared with Python. Where loops are solved numerically, the passive joints and the solution of every linear
-system inside become unknowns of their own, with their equations beside them: the solver closes the loops while it
-optimises, and every expression stays short and sparse (lifted; Albersmeyer & Diehl 2010).
+The expressions are those of the C export (`codegen/program.py`): the code of mechanism and effects, run once on symbols and
+compared with Python. If loops are solved numerically, the passive joints and the solution of every inner linear system become
+separate unknowns, and their equations become constraints: the solver closes the loops while it optimises, and every expression
+stays short and sparse (lifted; Albersmeyer & Diehl 2010).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _NEWTON = 8  # steps; the lifted equations are linear one after the other, so fe
 
 
 def import_casadi() -> Any:
-    """Return casadi, or say how to install it."""
+    """Return casadi; if it is missing, the error names the command that installs it."""
     try:
         import casadi as found
     except ImportError as fault:
@@ -41,12 +41,12 @@ class ForceLaw:
     Attributes:
         feedforward: The same forces in Python, with the same smoothed sign of friction.
         forces: casadi function `(q, v, a, p, y) -> tau`, columns of (na,), (na,), (na,), (n_p,) and (n_y,).
-        residual: casadi function `(q, v, a, p, y) -> r`, zero where loops are closed and inner systems are solved.
+        residual: casadi function `(q, v, a, p, y) -> r`, zero if loops are closed and inner systems are solved.
         n_passive: Number of passive joints that are solved for.
         n_inner: Number of further unknowns.
-        warnings: What the forces leave out.
-        program: Where the expressions came from.
-        unit: What the inner unknowns are measured by (n_y,).
+        warnings: Effects that the forces leave out, as sentences.
+        program: Source of the expressions.
+        unit: Units of the inner unknowns (n_y,).
     """
 
     feedforward: Feedforward
@@ -84,7 +84,7 @@ class ForceLaw:
         return y.T
 
     def in_units(self, unit: np.ndarray) -> ForceLaw:
-        """Return the same forces with the inner unknowns measured by `unit` (n_y,) of what they are here."""
+        """Return the same forces with inner unknowns in units `unit` (n_y,) times the present ones."""
         ca = import_casadi()
         q, v, a, p, y = symbols = [ca.SX.sym(name, n) for name, n in zip("qvapy", self._sizes, strict=True)]
         forces, residual = (
@@ -117,7 +117,7 @@ def build_force_law(model: Model, width: np.ndarray) -> ForceLaw:
 
 
 def _traced(model: Model, width: np.ndarray) -> tuple[Program, list]:
-    """Return the program of the model, or of the model without the effects that feel the mechanism's insides."""
+    """Return the program of the model, or of the model without the effects that depend on internals of the mechanism."""
     steady = model.steady()
     simple = steady.only(effect for effect in steady.effects if not effect.needs)
     try:
@@ -151,7 +151,7 @@ def _on_symbols(program: Program, warnings: tuple[str, ...]) -> ForceLaw:
 
 
 def _walked(graph: Graph, outputs: Any, known: dict[str, Any]) -> tuple[dict[int, Any], list[Any], list[Any]]:
-    """Return every needed node's expression, the unknowns that stand for solved systems, and their equations."""
+    """Return every needed node's expression, the unknowns that replace solved systems, and their equations."""
     ca = import_casadi()
     values: dict[int, Any] = {}
     inner: list[Any] = []

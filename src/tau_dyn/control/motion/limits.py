@@ -1,6 +1,6 @@
-"""What a planned motion may use, where it may start and end, and what is left for the feedback.
+"""Limits of a planned motion, its start and end positions, and the margin that is left for the feedback.
 
-What a plan leaves for the feedback: the noise that its gains make of the encoders', and what the model does not know.
+The margin for the feedback covers the encoder noise, amplified by the feedback's gains, and the error of the model.
 
 A cascade's speed is a difference of two positions over two samples. So white noise sigma of the positions becomes noise
 `sigma sqrt((kp + 1 / 2 dt)^2 + (1 / 2 dt)^2)` of its speed error, times K of force (`simulate/controllers.py`; the plant hardly
@@ -26,7 +26,7 @@ _NONE = 1e8  # acceleration [m/s^2 or rad/s^2] above which a drive is as good as
 
 @dataclass(frozen=True, eq=False)
 class MotionLimits:
-    """Limits of a motion, one a joint (na,) unless said otherwise; inf for none.
+    """Limits of a motion, one per joint (na,) unless stated otherwise; inf if unlimited.
 
     Attributes:
         force: Largest force, in either direction [N or N m].
@@ -58,19 +58,19 @@ class MotionLimits:
         margin: float = 0.0,
         condition: float | None = None,
     ) -> MotionLimits:
-        """Return limits: those given, and the robot file's where none is.
+        """Return limits: the given ones; the rest from the robot file.
 
         Args:
             model: Robot or model.
-            force: Instead of the drives' limits of the robot file.
-            speed: Instead of its speed limits.
+            force: Replaces the drives' limits of the robot file.
+            speed: Replaces the speed limits of the robot file.
             acceleration: None for no limit.
             jerk: None for no limit. (The acceleration is continuous and zero at both ends in any case.)
             margin: Share of the forces that stays unused, for the feedback that will run the motion; 0 to below 1.
             condition: Largest conditioning of the loops; by default five times home's, at least 20.
 
         Raises:
-            InputError: A limit that is not positive, of the wrong length, or that leaves a joint without any limit.
+            InputError: A limit is not positive or of the wrong length, or a joint has no limit at all.
         """
         model = model if isinstance(model, Model) else Model.of(model)
         robot = model.robot
@@ -108,7 +108,7 @@ class MotionLimits:
 
 
 def _limit(robot: Robot, name: str, given: PerJoint | None, default: PerJoint) -> np.ndarray:
-    """Return one limit a joint (na,), those that no drive reaches as none."""
+    """Return one limit per joint (na,); inf for limits that no drive reaches."""
     values = broadcast_limit(robot, name, given, default)
     return np.where(values < _NONE, values, np.inf)
 
@@ -119,18 +119,18 @@ _SLACK = 1e-9  # m or rad; ends that equal a limit but for rounding are within i
 def compute_end_positions(
     model: Model, place: np.ndarray, name: str, limits: MotionLimits, *, joints: bool, near: np.ndarray | None = None
 ) -> np.ndarray:
-    """Return the actuated positions (na,) of one end, where the robot can stand still.
+    """Return the actuated positions (na,) of one end, at which the robot can hold still.
 
     Args:
         model: The robot and its effects.
         place: Tool position (3,) [m], in home's orientation, or actuated positions (na,) [m or rad].
         name: 'start' or 'end', for messages.
-        limits: What the motion may use.
+        limits: Limits of the motion.
         joints: Whether `place` holds actuated positions.
-        near: Positions (na,) near which to search, where several put the tool there.
+        near: Positions (na,) near which to search if several solutions exist.
 
     Raises:
-        InputError: Out of reach, outside a joint's range, near a singularity, or too heavy to hold.
+        InputError: The place is out of reach, outside a joint's range, near a singularity, or too heavy to hold.
     """
     robot = model.robot
     given = np.asarray(place, float).ravel()
@@ -169,7 +169,7 @@ def _reached(robot: Robot, position: np.ndarray, name: str, near: np.ndarray | N
 
 
 def _check_closure(model: Model, q: np.ndarray, where: str, limits: MotionLimits) -> None:
-    condition = float(model.mechanism.condition(q[None])[0])  # raises LoopClosureError where the loops do not close
+    condition = float(model.mechanism.condition(q[None])[0])  # raises LoopClosureError if the loops do not close
     if condition > limits.condition:
         raise InputError(
             "unreachable",
@@ -178,7 +178,7 @@ def _check_closure(model: Model, q: np.ndarray, where: str, limits: MotionLimits
 
 
 def _check_hold(model: Model, q: np.ndarray, where: str, limits: MotionLimits) -> None:
-    """Refuse a place at which the drives' limits do not carry the weight."""
+    """Refuse a place at which the weight exceeds the drives' limits."""
     rest = np.zeros((1, len(q)))
     weight = model.mechanism.inverse_dynamics(q[None], rest, rest)[0]
     k = int(np.argmax(np.abs(weight) / limits.force))
@@ -200,11 +200,11 @@ PEAK = 4.0
 
 
 def estimate_feedback_noise(law: CascadeLaw, q: np.ndarray, encoder_noise: PerJoint, dt: float = 1e-3) -> np.ndarray:
-    """Return the standard deviation (na,) of the feedback's forces [N or N m] at rest at one of the positions, the largest.
+    """Return the largest standard deviation (na,) of the feedback's forces [N or N m] at rest, over the positions.
 
     Args:
         law: The gains.
-        q: Actuated positions (N, na), where the mass matrix counts.
+        q: Actuated positions (N, na) at which the mass matrix is evaluated.
         encoder_noise: Standard deviation of the positions' noise [m or rad].
         dt: The controller's step [s].
     """
@@ -231,7 +231,7 @@ def compute_feedback_margin(
 ) -> float:
     """Return the margin that a plan should keep for the feedback, for `MotionLimits.of(..., margin=...)`.
 
-    So that `(1 - margin) force (1 + unknown) + PEAK noise` stays within every drive's limit.
+    With it, `(1 - margin) force (1 + unknown) + PEAK noise` stays within every drive's limit.
 
     Args:
         limits: Limits without a margin.

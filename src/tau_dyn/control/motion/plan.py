@@ -1,11 +1,10 @@
 """Plan a motion from rest to rest, in the shortest time or with less effort, that the drives can follow.
 
-A planned motion, what it costs, and which limits hold it back.
+`MotionPlan` holds the planned motion, its cost and its active limits.
 
-A plan judged on a fine clock, by the model in Python instead of the solver's expressions, and what the next round must keep.
-
-Limits hold at the nodes and half-way between; friction that turns in between can leave them for a moment. Where the fine clock
-finds an excess, the limit nearby is tightened by as much. A few rounds settle it.
+The plan is checked on a fine clock, by the model in Python instead of the solver's expressions. The solver enforces limits at
+the nodes and half-way between; if friction changes its sign in between, a limit may be exceeded for a moment. If the fine clock
+finds an excess, the limit nearby is tightened by the same amount for the next iteration. A few iterations are enough.
 """
 
 from __future__ import annotations
@@ -59,14 +58,14 @@ class MotionPlan:
     """A motion between two states of rest.
 
     Attributes:
-        model: What was planned for.
+        model: Robot and effects of the plan.
         t: Time (N,) [s], evenly spaced.
         q: Positions (N, na) [m or rad].
         v: Speeds (N, na).
         a: Accelerations (N, na).
         tau: Forces (N, na) [N or N m] that the model needs for it, with smoothed friction.
         tool: Tool positions (N, 3) [m], or None for a robot without a tool.
-        duration: What the optimiser found [s]; the clock's end is up to a step later.
+        duration: Duration found by the optimiser [s]; the clock ends up to one step later.
         energy: `sum_i int tau_i^2 dt` [N^2 s], the thesis' measure.
         work: `sum_i int |tau_i v_i| dt` [J], without recuperation.
         objective: Duration plus weight times energy [s].
@@ -76,9 +75,9 @@ class MotionPlan:
         iterations: IPOPT's iterations, of all rounds.
         seconds: Wall time of the search [s].
         start_duration: Duration of the trapezoidal profile that it started from [s].
-        binding: The limits that it reaches, most of the time first.
-        excess: Largest share by which a force, speed or acceleration leaves its limit on the clock; 0 for none.
-        limits: What it might use.
+        binding: Active limits, the longest active one first.
+        excess: Largest share by which a force, speed or acceleration exceeds its limit on the clock; 0 within the limits.
+        limits: Limits of the motion.
         width: Speed within which friction's sign was smoothed (na,).
         warnings: Sentences.
     """
@@ -147,7 +146,7 @@ class MotionPlan:
         ]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what `--json` keeps."""
+        """Return the values for `--json`."""
         return {
             "robot": self.model.robot.name,
             "path": self.path,
@@ -190,7 +189,7 @@ def tighten_limits(
     limits: MotionLimits,
     which: list,
 ) -> np.ndarray | None:
-    """Return the shares of the limits (2 N + 1, m) for the next round, or None where this one keeps everything."""
+    """Return the shares of the limits (2 N + 1, m) for the next round, or None if this one keeps all limits."""
     looks = np.linspace(0, 1, _FINE * (len(nodes.x) - 1) + 1)
     used = compute_limit_usage(feedforward, build_node_motion(coordinates, nodes, looks, nodes.T), limits, which)
     if used.max(initial=0.0) <= 1 + MAX_LIMIT_EXCESS:
@@ -203,12 +202,12 @@ def tighten_limits(
     return out
 
 
-_MAX_ITERATIONS = 6  # rounds of solving with enforced limits; each tightens what the last exceeded
+_MAX_ITERATIONS = 6  # solutions with enforced limits; each tightens the limits that the last one exceeded
 _MIN_INTERVALS = 6  # of a motion that is shorter than so many periods
 _FIRST_WIDTH = 0.02  # [m/s or rad/s] of friction's sign, until the motion's speeds are known
 _MIN_DISTANCE = 1e-9  # m or rad; ends closer together are one place
 _STROKE = 1e-5  # share of a joint's range that is kept at its ends
-_TOLD = 1e-3  # share of a limit from which on leaving it is told
+_TOLD = 1e-3  # share of a limit by which a plan may exceed it without a warning
 _WORST = 0.02  # share of a limit by which no plan may leave it
 
 
@@ -230,18 +229,19 @@ def plan_motion(
     Args:
         model: A robot, or a model with friction and other effects.
         start: Tool position (3,) [m], in home's orientation; with `joints` actuated positions (na,) [m or rad].
-        end: Where it ends, likewise.
-        limits: What it may use, by default the robot file's limits; see `MotionLimits.of`.
+        end: End of the motion, in the same form.
+        limits: Limits of the motion; default: those of the robot file; see `MotionLimits.of`.
         energy_weight: `w` [s per N^2 s]; 0 for the shortest time.
         path: None for any path, 'line' for a straight line of the tool, or points (n, 3) [m] that its spline goes through.
         joints: Whether start and end are actuated positions.
         dt: Step of the result's clock [s].
         nodes: Intervals of the program; the acceleration is linear within each.
-        period: Of the controller that will be given the motion [s]: intervals are no shorter than it, and a motion that needs
-            fewer intervals for that lasts a whole number of periods, so that the controller's samples hold all of it.
+        period: Sample period of the controller for which the motion is planned [s]. Intervals are not shorter than a period. If
+            this requires fewer intervals, the motion lasts a whole number of periods, so that the controller's samples
+            contain all of it.
 
     Raises:
-        InputError: An end or the path out of reach, near a singularity, or too heavy to hold; settings out of range.
+        InputError: An end or the path is out of reach, near a singularity, or too heavy to hold; settings out of range.
         CannotAnswer: The solver found no motion within the limits, on a fine clock as well as at its nodes.
     """
     import_casadi()
@@ -294,19 +294,19 @@ def _coordinates(
 
 
 def _starting_path(model: Model, first: np.ndarray, last: np.ndarray, limits: MotionLimits) -> JointPath:
-    """Return the tool's straight line, or the actuated joints' where the tool cannot take its own."""
+    """Return the tool's straight line, or that of the actuated joints if the tool cannot follow its line."""
     if model.robot.tool_frame is not None:
         try:
             return build_tool_path(model, first, last, "line", limits)
         except InputError:
             pass
     straight = build_joint_line(first, last)
-    model.mechanism.condition(straight.q(np.linspace(0, 1, 50)))  # raises where the loops do not close
+    model.mechanism.condition(straight.q(np.linspace(0, 1, 50)))  # raises if the loops do not close
     return straight
 
 
 def _search(model: Model, coordinates: Coordinates, limits: MotionLimits, weight: float, nodes: int) -> _Search:
-    """Solve from a trapezoidal profile, and again while the fine clock finds something to tighten."""
+    """Solve from a trapezoidal profile, and again while the fine clock finds exceeded limits."""
     profile = compute_trapezoid(nodes)
     rough = Feedforward(model.steady(), width=_FIRST_WIDTH, shape="tanh")
     T = compute_min_duration(coordinates, rough, limits, profile)
@@ -394,7 +394,7 @@ def _binding(robot: Robot, used: np.ndarray, which: list[tuple[str, int]]) -> tu
 
 
 def _refuse_between_nodes(used: np.ndarray) -> None:
-    """Refuse a motion that keeps its limits only where the solver looked."""
+    """Refuse a motion that keeps its limits only at the solver's nodes and middles."""
     excess = float(used.max(initial=0.0)) - 1
     if excess > _WORST:
         raise CannotAnswer(
@@ -405,7 +405,7 @@ def _refuse_between_nodes(used: np.ndarray) -> None:
 
 
 def _refuse_singular(model: Model, q: np.ndarray, limits: MotionLimits) -> None:
-    """Refuse a motion whose loops close worse than they may."""
+    """Refuse a motion on which the conditioning of the loops exceeds its limit."""
     condition = float(model.mechanism.condition(q).max())
     if condition > (1 + _WORST) * limits.condition:
         raise CannotAnswer(

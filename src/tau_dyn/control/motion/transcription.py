@@ -1,24 +1,22 @@
 r"""The motion as a nonlinear program: direct collocation of coordinates over the normalised time, forces by inverse dynamics.
 
-The unknowns are the nodes (`nodes.py`) and the duration T:
+The unknowns are the nodes (`coordinates.Nodes`) and the duration T:
 
     minimise  T + w sum_i int tau_i^2 dt      (Dressler 2012, section 3.5)
 
 Reference: Betts 2010, ch. 4; Rao 2009. IPOPT (Waechter & Biegler 2006) solves it with casadi's exact derivatives.
 
-What the program asks: limits, closed loops and costs at one place; how places and nodes hang together.
+The program has limits, loop closures and costs at each place, and linear equations between places and nodes. The forces of a
+fully actuated robot follow from its motion (it is flat), so no differential equation of the dynamics is integrated:
+`tau = f(q, v, a)` is within its limits at every node and half-way between.
 
-A fully actuated robot's forces follow from its motion (it is flat), so no differential equation of the dynamics is integrated:
-`tau = f(q, v, a)` stands within its limits at every node and half-way between.
-
-Constraints and cost that act place by place, with derivatives that use it.
-
-All places' arguments are linear in the unknowns, `u = A w`. With `J_k` and `H_k` the derivatives at one place,
+Constraints and cost act place by place, and the derivatives use this structure. The arguments of all places are linear in the
+unknowns, `u = A w`. With `J_k` and `H_k` the derivatives at one place,
 
     Jacobian = diag(J_k) A,   Hessian of the Lagrangian = A' diag(H_k) A,
 
-one small function evaluated at every place and two sparse products. Left to itself casadi colours the whole program's Hessian,
-which costs several times as much (measured in docs/explanation/control.md).
+need one small function at every place and two sparse products. Without this structure, casadi colours the whole program's
+Hessian, which takes several times as long (measured in docs/explanation/control.md).
 """
 
 from __future__ import annotations
@@ -36,7 +34,7 @@ from tau_dyn.control.motion.limits import MotionLimits
 
 
 class Pointwise:
-    """What `transform_point(u) -> (kept, residual, cost)` gives at all places."""
+    """The function `point(u) -> (kept, residual, cost)` at all places, with derivatives."""
 
     def __init__(self, point: Any, A: Any, share: np.ndarray) -> None:
         """Prepare.
@@ -65,11 +63,11 @@ class Pointwise:
         return import_casadi().reshape(import_casadi().mtimes(self._A, w), self.width, self._n)
 
     def kept(self, w: Any) -> Any:
-        """Return what is kept within -1 and 1, place by place."""
+        """Return the quantities that are kept within -1 and 1, place by place."""
         return import_casadi().vec(self._values(self.points(w))[0])
 
     def residual(self, w: Any) -> Any:
-        """Return what must be zero, place by place."""
+        """Return the residuals that must be zero, place by place."""
         return import_casadi().vec(self._values(self.points(w))[1])
 
     def cost(self, w: Any) -> Any:
@@ -109,18 +107,18 @@ class Pointwise:
         return import_casadi().mtimes(self._diagonal(slope.map(self._n)(self.points(w)), slope), self._A)
 
     def _diagonal(self, blocks: Any, function: Any) -> Any:
-        """Return blocks that stand side by side as a block-diagonal matrix: the same nonzeros in the same order."""
+        """Return blocks in a row as a block-diagonal matrix: the same nonzeros in the same order."""
         ca = import_casadi()
         return ca.MX(ca.diagcat(*[function.sparsity_out(0)] * self._n), blocks.nz[:])
 
 
 _SMALL = 1e-4
-"""What full force of all drives costs of the duration. The shortest time leaves forces undetermined where one drive alone holds
-the robot back; without any preference the solver wanders there. It cannot lengthen a motion by more than this share."""
+"""Cost of full force of all drives, as a share of the duration. In the shortest time, forces are undetermined while one drive
+limits the robot; without any preference the solver wanders there. The cost lengthens a motion by this share at most."""
 
 
 def build_point_constraint(law: ForceLaw, coordinates: Coordinates, limits: MotionLimits, weight: float) -> Any:
-    """Return the casadi function of one place `u = (x, x', x'', p, y, T)`: what is limited, residuals, cost by the time."""
+    """Return the casadi function of one place `u = (x, x', x'', p, y, T)`: limited quantities, residuals, cost rate."""
     ca = import_casadi()
     n, n_p, n_y = coordinates.n, law.n_passive, law.n_inner
     u = ca.MX.sym("u", 3 * n + n_p + n_y + 1)
@@ -135,13 +133,13 @@ def build_point_constraint(law: ForceLaw, coordinates: Coordinates, limits: Moti
 
 
 def _squares(tau: Any, limit: np.ndarray, weight: float) -> Any:
-    """Return the weighted squares of forces, and of their share of the limits by so little that no time is lost."""
+    """Return the weighted squares of forces, and of their share of the limits with a weight too small to cost time."""
     small = _SMALL / len(limit) / limit**2  # zero for a joint without a limit
     return import_casadi().dot(import_casadi().DM(weight + small), tau**2)
 
 
 def build_jerk_constraints(coordinates: Coordinates, limits: MotionLimits, pointwise: Pointwise, W: Any, N: int) -> Any:
-    """Return the jerks between nodes and middles as shares of their limits; no rows where there are none."""
+    """Return the jerks between nodes and middles as shares of their limits; no rows without limits."""
     ca, n = import_casadi(), coordinates.n
     kept = np.flatnonzero(np.isfinite(limits.jerk)).tolist()
     if not kept:
@@ -154,7 +152,7 @@ def build_jerk_constraints(coordinates: Coordinates, limits: MotionLimits, point
 
 
 def build_integration_constraints(x: Any, dx: Any, ddx: Any, N: int) -> Any:
-    """Return what is zero where positions and speeds follow from the accelerations."""
+    """Return residuals that are zero if positions and speeds follow from the accelerations."""
     ca, d = import_casadi(), 1 / N
     speeds = dx[:, 1:] - dx[:, :-1] - d / 2 * (ddx[:, 1:] + ddx[:, :-1])
     places = x[:, 1:] - x[:, :-1] - d * dx[:, :-1] - d * d * (ddx[:, :-1] / 3 + ddx[:, 1:] / 6)
@@ -185,7 +183,7 @@ def insert_middles(x: Any, dx: Any, ddx: Any, N: int) -> list[Any]:
 
 
 def list_limited_quantities(limits: MotionLimits) -> list[tuple[str, int]]:
-    """Return what has a limit: pairs of quantity ('force', 'speed', 'acceleration') and joint index."""
+    """Return the limited quantities: pairs of quantity ('force', 'speed', 'acceleration') and joint index."""
     quantities = ("force", "speed", "acceleration")
     return [(name, int(k)) for name in quantities for k in np.flatnonzero(np.isfinite(getattr(limits, name)))]
 
@@ -193,9 +191,9 @@ def list_limited_quantities(limits: MotionLimits) -> list[tuple[str, int]]:
 _MIN_STEP_S = 1e-3  # [s]
 _MAX_SOLVER_S = 90.0  # s; motions that are found at all take 1 to 30 s
 _MIN_PIVOT = 0.01
-"""Relative size of a pivot, MUMPS' own default. IPOPT's default of 1e-6 loses digits where loops are solved beside the motion:
-signs of eigenvalues come out wrong, IPOPT takes a convex step for none, and creeps (the delta with all rods: 500 iterations
-without an answer in place of 44)."""
+"""Relative size of a pivot, MUMPS' own default. IPOPT's default of 1e-6 loses digits if loops are solved together with the
+motion: signs of eigenvalues are wrong, IPOPT treats convex steps as nonconvex, and converges slowly (the delta with all rods: 500
+iterations without an answer instead of 44)."""
 _WARM = {
     "ipopt.warm_start_init_point": "yes",
     "ipopt.mu_init": 1e-5,
@@ -207,16 +205,16 @@ _WARM = {
 
 @dataclass(frozen=True, eq=False)
 class TranscriptionSolution:
-    """What the solver found.
+    """Result of the solver.
 
     Attributes:
         nodes: The motion.
-        status: IPOPT's own word.
+        status: Status reported by IPOPT.
         ok: Whether it is a solution.
         iterations: IPOPT's iterations.
         objective: `T + w int tau^2 dt`.
         seconds: Wall time.
-        multipliers: Of bounds and of constraints, to start the next round from.
+        multipliers: Multipliers of bounds and of constraints, from which the next iteration starts.
     """
 
     nodes: Nodes
@@ -232,7 +230,7 @@ class Transcription:
     """One program, to be solved from one or more starts.
 
     Attributes:
-        limited: What is kept within -1 and 1 at nodes and middles: pairs of quantity and joint index.
+        limited: Quantities that are kept within -1 and 1 at nodes and middles: pairs of quantity and joint index.
     """
 
     def __init__(
@@ -242,8 +240,8 @@ class Transcription:
 
         Args:
             law: The forces.
-            coordinates: What moves.
-            limits: What the motion may use.
+            coordinates: Coordinates of the motion.
+            limits: Limits of the motion.
             nodes: Number N of intervals.
             weight: Weight of the squared forces [s per N^2 s].
         """

@@ -1,4 +1,4 @@
-"""Where the tool is, from what the actuators say and an accelerometer feels."""
+"""Estimation of the tool's position from the actuators and an accelerometer."""
 
 from lazy_loader import attach_stub
 

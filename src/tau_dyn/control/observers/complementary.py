@@ -9,8 +9,8 @@ Zero phase: `G` is a second-order Butterworth low-pass H forwards and backwards.
 high-pass P with the same cutoff, exactly so for filters from the bilinear transform, and one pass of P with both integrators
 is `H / w^2` with `w = 2 / dt tan(pi f dt)`: the acceleration runs through `H / w^2` forwards and P backwards.
 
-Causal: the complement of a second-order low-pass has one zero at zero frequency and lets drift through. Here
-`1 - G = s^3 / (s^3 + 2 w s^2 + 2 w^2 s + w^3)`: a constant error of the accelerometer leaves no trace.
+Causal: the complement of a second-order low-pass has one zero at zero frequency and lets drift pass. Here
+`1 - G = s^3 / (s^3 + 2 w s^2 + 2 w^2 s + w^3)`: a constant error of the accelerometer has no effect.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class ComplementaryToolObserver:
     """Tool positions from positions computed by forward kinematics and an accelerometer.
 
     Attributes:
-        cutoff_hz: Of G, one an axis [Hz]; the thesis' (7.18) are 4.50 and 2.63.
+        cutoff_hz: Cutoff of G, one per axis [Hz]; the thesis' (7.18) are 4.50 and 2.63.
         dt: Sampling step [s].
         causal: Use the past alone, as a controller must; otherwise the filter has zero phase and needs the whole trial.
     """
@@ -77,7 +77,7 @@ class ComplementaryToolObserver:
 
         Args:
             kinematic: Tool positions computed from the actuators (N, m) [m]; the robot is at rest at the first sample.
-            acceleration: Of the tool, without gravity (N, m) [m/s^2].
+            acceleration: Acceleration of the tool, without gravity (N, m) [m/s^2].
         """
         rest = require_signals(kinematic, acceleration, self.axes)[0]
         slow = [p.run(kinematic[:, k] - rest[k]) for k, (p, _) in enumerate(self.pairs())]
@@ -98,7 +98,7 @@ class ComplementaryToolObserver:
     def standard_error(self, kinematic_noise: float | np.ndarray, acceleration_noise: float | np.ndarray) -> np.ndarray:
         """Return the estimate's standard deviation (m,) [m] from white noise of both sensors [m], [m/s^2].
 
-        What the model of neither knows (deflection below the cutoff, the accelerometer's errors above) is not in it.
+        It does not contain systematic errors (deflection below the cutoff, errors of the accelerometer above it).
         """
         f = (np.arange(4096) + 0.5) / 8192 / self.dt
         slow, fast = self.responses(f)
@@ -125,7 +125,7 @@ class Passes:
     held: bool
 
     def run(self, x: np.ndarray) -> np.ndarray:
-        """Filter (N, ...) along time; the backward pass begins one length after the end, where all has settled."""
+        """Filter (N, ...) along time; the backward pass begins one length after the end, where the response has settled."""
         if self.backwards is None:
             return np.asarray(lfilter(*self.forwards, x, axis=0))
         tail = np.repeat(x[-1:] * float(self.held), len(x), axis=0)

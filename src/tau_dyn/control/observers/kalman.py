@@ -1,29 +1,30 @@
 """A stationary Kalman filter for the tool's position on an identified model (thesis 7.19 to 7.22).
 
-The input is the tool computed from the actuators, z_c; measured is the tool's acceleration y. With the extended model of (7.21)
-and the prediction error covariance P from the Riccati equation,
+The input is the tool position z_c computed from the actuators; the measurement is the tool's acceleration y. With the extended
+model of (7.21) and the prediction error covariance P from the Riccati equation,
 
     M = P Cy' S^-1,  S = Cy P Cy' + R2,    x(t|t) = x(t|t-1) + M (y - Cy x(t|t-1)),    z(t) = Cz x(t|t).
 
-The thesis' (7.22) gives out `Cz x(t|t-1)`, the estimate before the present measurement; its gain is `K = A M`.
+The output of the thesis' (7.22) is `Cz x(t|t-1)`, the estimate before the present measurement; its gain is `K = A M`.
 
-Process noise. The thesis takes `R1 = r I`, which means something else in any other coordinates of the states, and treats
-position, velocity and acceleration of the tool as if disturbed independently. Here unknown forces disturb the states: they change
-velocities, so the position moves one step later, and velocity and acceleration follow by the same differences. Of all
-directions in state space, weighted as the input reaches them, those without an immediate change of position are taken:
-`R1 = r E G G' E'`, where `r` is the mean square of what one step's force does to the position by the next step [m^2].
+Process noise. The thesis uses `R1 = r I`, which depends on the choice of the state coordinates, and treats position, velocity
+and acceleration of the tool as if disturbed independently. Here unknown forces disturb the states: they change velocities, so
+the position moves one step later, and velocity and acceleration follow by the same differences. The directions in state space
+are weighted with the controllability Gramian of the input, and those with an immediate change of position are removed:
+`R1 = r E G G' E'`, where `r` is the mean square of the position change by the next step, caused by one step's force [m^2].
 Reference: Astrom & Wittenmark 1997, ch. 11; Anderson & Moore 1979, Optimal Filtering, ch. 4.
 
-A position model with two states more, the tool's velocity and acceleration (thesis 7.19 to 7.21).
+The extended model has two additional states per axis, the tool's velocity and acceleration (thesis 7.19 to 7.21):
 
     x_v(t + T) = (z(t + T) - z(t)) / T,    x_a(t + T) = (x_v(t + T) - x_v(t)) / T
 
-with `z(t + T) = C (A x + B u)` give the matrices of (7.21). Two things the thesis does not say:
+with `z(t + T) = C (A x + B u)` give the matrices of (7.21). Two details are not in the thesis:
 
 * `x_a(t)` is the second difference of `z(t), z(t - T), z(t - 2T)`, that is the acceleration at `t - T`. It has to be compared
-  with the accelerometer's sample before, not with the present one: at 4 ms and 11.5 Hz that is 17 degrees.
-* (7.21) needs `z = C x`. An identified model has a direct part D (rods carry the carts' acceleration to the tool at once). Then
-  the input becomes a state: `x' = (x, u)`, driven by the input of the next sample, which is known when that sample is judged.
+  with the previous sample of the accelerometer, not with the present one: at 4 ms and 11.5 Hz that is 17 degrees.
+* (7.21) needs `z = C x`. An identified model has a direct part D (rods transmit the carts' acceleration to the tool without
+  delay). Then the input becomes a state: `x' = (x, u)`, driven by the input of the next sample, which is known when that sample
+  is evaluated.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ from tau_dyn.modes import StateSpace
 
 @dataclass(frozen=True, eq=False)
 class ExtendedModel:
-    """The extended model: `x(t + T) = A x(t) + B u`, with `u` at t, or at `t + T` where `ahead`.
+    """The extended model: `x(t + T) = A x(t) + B u`, with `u` at t, or at `t + T` if `ahead`.
 
     Attributes:
         A: (n, n).
@@ -114,11 +115,11 @@ class KalmanToolObserver:
     """Tool positions from positions computed by forward kinematics and an accelerometer.
 
     Attributes:
-        model: From computed to true tool positions, (6.13); it speaks of deviations from rest.
+        model: Model from computed to true tool positions, (6.13), for deviations from rest.
         process: `r` above [m^2], or a whole covariance of the extended states (n, n).
         measurement: R2, variance of the accelerometer [(m/s^2)^2]: a number or a matrix (p, p).
-        aligned: Compare the acceleration state with the sample it belongs to, the one before; False does as (7.21) is printed.
-        predict: Give out the prediction, as (7.22) does, instead of the estimate that knows the present measurement.
+        aligned: Compare the acceleration state with the previous sample, to which it belongs; False uses (7.21) as printed.
+        predict: Return the prediction, as (7.22), instead of the estimate that includes the present measurement.
     """
 
     model: StateSpace
@@ -128,7 +129,7 @@ class KalmanToolObserver:
     predict: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse covariances that are none, models with unlike inputs and outputs."""
+        """Refuse invalid covariances, and models with different numbers of inputs and outputs."""
         if self.model.B.shape[1] != len(self.model.C):
             raise InputError(
                 "mismatch", "the observer's model goes from computed to true tool positions, the same axes in and out"
@@ -199,7 +200,7 @@ class KalmanToolObserver:
 
         Args:
             kinematic: Tool positions computed from the actuators (N, m) [m]; the robot is at rest at the first sample.
-            acceleration: Of the tool, without gravity (N, m) [m/s^2].
+            acceleration: Acceleration of the tool, without gravity (N, m) [m/s^2].
         """
         return self.run(kinematic, acceleration)[0]
 
@@ -256,7 +257,7 @@ class KalmanToolObserver:
 
 
 def compute_disturbance_shape(model: ExtendedModel) -> np.ndarray:
-    """Return E G G' E' (n, n): what unknown forces of size 1 do to the extended states in a step."""
+    """Return E G G' E' (n, n): the effect of unknown forces of size 1 on the extended states in one step."""
     n0 = model.disturbed.shape[1]
     A, B, C = model.A[:n0, :n0], model.B[:n0], model.position[:, :n0]
     W = np.asarray(solve_discrete_lyapunov(A, B @ B.T))

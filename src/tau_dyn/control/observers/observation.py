@@ -1,11 +1,10 @@
-"""The tool's position from a log, with intervals: what `tau-dyn observe` finds.
+"""The tool's position from a log, with intervals: the result of `tau-dyn observe`.
 
 With a model from computed to true tool positions (6.13): the Kalman filter, tuned on the log itself. Without one: the
 complementary filter, whose interval holds noise and the deflection that its low-pass takes for the carts'.
 
-How far an observer's estimate may be off where its model is: intervals that grow with innovations that are not white.
-
-The filter's own covariance holds for a right model. Two faults of a model show in a log without any tool position:
+Intervals under a wrong model: they grow if the innovations are not white. The filter's own covariance is valid only for a
+correct model. Two faults of a model are visible in a log without any tool position:
 
 * its frequencies: with poles `p^s` and the same static gain, the scale `s` under which the innovations are most likely;
 * the accelerometer's bias: over a motion from rest to rest the tool's mean acceleration is zero.
@@ -39,14 +38,14 @@ _DECADES = (-3, -1, 1)  # of the process noise around the tuned one
 
 @dataclass(frozen=True, eq=False)
 class ObserverError:
-    """What an estimate may be off by.
+    """Error of an estimate.
 
     Attributes:
-        stderr: Standard deviation of the error, one an axis (m,) [m].
-        own: What the filter states itself (m,) [m].
-        frequency_scale: All frequencies of the model times this make the innovations most likely.
-        bias: Of the accelerometer, one an axis (m,) [m/s^2].
-        whiteness: Of the innovations of the filter as it is.
+        stderr: Standard deviation of the error, one per axis (m,) [m].
+        own: Standard deviation by the filter's own covariance (m,) [m].
+        frequency_scale: Factor of all frequencies of the model with the largest likelihood of the innovations.
+        bias: Bias of the accelerometer, one per axis (m,) [m/s^2].
+        whiteness: Whiteness of the innovations of the unchanged filter.
     """
 
     stderr: np.ndarray
@@ -59,12 +58,12 @@ class ObserverError:
 def estimate_observer_error(
     observer: KalmanToolObserver, kinematic: np.ndarray, acceleration: np.ndarray
 ) -> ObserverError:
-    """Return what the estimate of a log may be off by.
+    """Return the error of the estimate of a log.
 
     Args:
         observer: The filter, tuned.
         kinematic: Tool positions computed from the actuators (N, m) [m], from rest to rest.
-        acceleration: Of the tool, without gravity (N, m) [m/s^2].
+        acceleration: Acceleration of the tool, without gravity (N, m) [m/s^2].
     """
     z, innovations = observer.run(kinematic, acceleration)
     dt = observer.dt
@@ -88,9 +87,7 @@ def _rescale(
     observer: KalmanToolObserver, kinematic: np.ndarray, acceleration: np.ndarray
 ) -> tuple[KalmanToolObserver, float]:
     """Return the filter of the scaled model, its process and measurement noise chosen again, and the scale."""
-    quiet = (
-        np.mean(np.diff(acceleration, n=3, axis=0) ** 2) / 20
-    )  # what is white in it, whatever the filter was tuned to
+    quiet = np.mean(np.diff(acceleration, n=3, axis=0) ** 2) / 20  # its white part, independent of the filter's tuning
     alternative = float(np.log(max(quiet, 1e-12) / np.mean(np.diag(observer.R2))))
 
     def build(x: np.ndarray) -> KalmanToolObserver:
@@ -112,8 +109,8 @@ def _rescale(
     return build(found), float(np.exp(found[0]))
 
 
-_MIN_P = 1e-3  # p-value below which innovations are said not to be white
-_SCALE = 0.02  # share by which a model's frequencies may be off before it is said
+_MIN_P = 1e-3  # p-value below which innovations are reported as not white
+_SCALE = 0.02  # share by which a model's frequencies may be off without a warning
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +124,7 @@ class ToolObservation(Shown):
         position: Estimated tool positions (N, m) [m].
         stderr: Standard deviation of their error (m,) [m].
         how: The filter in words.
-        error: What the innovations say of the model; None of the complementary filter.
+        error: Error of the estimate by the innovations; None for the complementary filter.
     """
 
     axes: tuple[str, ...]
@@ -140,7 +137,7 @@ class ToolObservation(Shown):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What of the model the log contradicts."""
+        """Properties of the model that the log contradicts."""
         if self.error is None:
             return ()
         said, e = [], self.error
@@ -189,15 +186,15 @@ def observe_tool(
     model: StateSpace | None = None,
     cutoff_hz: Sequence[float] = (),
 ) -> ToolObservation:
-    """Return the tool's positions of a log that begins at rest, and with a model ends there.
+    """Return the tool's positions of a log that begins at rest; with a model it must also end at rest.
 
     Args:
         axes: Names of the tool's directions (m of them).
         t: Time (N,) [s], evenly spaced.
         kinematic: Tool positions computed from the actuators (N, m) [m].
-        acceleration: Of the tool, without gravity (N, m) [m/s^2].
-        model: From computed to true tool positions; None for the complementary filter.
-        cutoff_hz: Of the complementary filter, one or one an axis.
+        acceleration: Acceleration of the tool, without gravity (N, m) [m/s^2].
+        model: Model from computed to true tool positions; None for the complementary filter.
+        cutoff_hz: Cutoff of the complementary filter, one for all axes or one per axis.
 
     Raises:
         InputError: Shapes or steps differ, or the model is unstable.
@@ -225,9 +222,9 @@ def _estimate_complementary_error(
 ) -> np.ndarray:
     """Return the standard deviation (m,) [m] of a complementary filter's error.
 
-    The filter sees `(1 - G) d` of the deflection d, and errs by `G d`. A tool on damped springs has `d = -c a - b v`: both
-    numbers are fitted to what is seen (least squares), and tell what is missed. Beside it both sensors' noise, and the trace of
-    a bias.
+    The filter estimates `(1 - G) d` of the deflection d, so its error is `G d`. A tool on damped springs has
+    `d = -c a - b v`: both coefficients are fitted to the estimate (least squares) and predict the error. The noise of both
+    sensors and the effect of a bias are added.
     """
     nothing = np.zeros_like(acceleration)
     causes = (acceleration, np.gradient(kinematic, observer.dt, axis=0))
@@ -244,5 +241,5 @@ def _estimate_complementary_error(
 
 
 def _estimate_white_noise(x: np.ndarray) -> np.ndarray:
-    """Return the standard deviation (m,) of what is white in signals (N, m): of third differences, which a motion hardly has."""
+    """Return the standard deviation (m,) of white noise in signals (N, m), by third differences, which a motion hardly has."""
     return np.sqrt(np.mean(np.diff(x, n=3, axis=0) ** 2, axis=0) / 20)

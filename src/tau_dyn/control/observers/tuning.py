@@ -1,16 +1,15 @@
 """Tuning of observers from logs.
 
-Kalman filter: the process noise `r` and the accelerometer's variance by maximum likelihood of the innovations, from actuators and
-accelerometer alone - no measurement of the tool's position is needed. Every channel has its own variance. Where innovations are
-not white the model is at fault, and the likelihood answers with more process noise.
+Kalman filter: the process noise `r` and the accelerometer's variance by maximum likelihood of the innovations, from actuators
+and accelerometer alone - no measurement of the tool's position is needed. Every channel has its own variance. If the
+innovations are not white, the model is wrong, and the maximum of the likelihood has more process noise.
 
 Complementary filter: the cutoff of each axis that leaves the smallest error against a measured tool position, as the thesis does
 "by inspection" for (7.18).
 
-Are a filter's innovations white, as they are when model and covariances are right?
-
-Portmanteau test of Ljung and Box (1978), each channel by itself: `N (N + 2) sum r_k^2 / (N - k)` over the first lags follows a
-chi-squared law if the innovations are white. Beside it the size of the innovations over what the filter expects.
+Whiteness: a filter's innovations are white if model and covariances are correct. They are tested by the portmanteau test of
+Ljung and Box (1978), each channel alone: `N (N + 2) sum r_k^2 / (N - k)` over the first lags follows a chi-squared law if the
+innovations are white. In addition, the size of the innovations is compared with the size that the filter expects.
 """
 
 from __future__ import annotations
@@ -29,11 +28,11 @@ from tau_dyn.modes import StateSpace
 
 @dataclass(frozen=True, eq=False)
 class Whiteness:
-    """What innovations say of a filter.
+    """Tests of a filter by its innovations.
 
     Attributes:
-        p_value: Of the hypothesis that they are white, one a channel (p,).
-        correlation: The largest autocorrelation among the lags, one a channel (p,).
+        p_value: p-value of the hypothesis that they are white, one per channel (p,).
+        correlation: The largest autocorrelation among the lags, one per channel (p,).
         ratio: Their standard deviation over the expected one (p,).
     """
 
@@ -59,12 +58,12 @@ def check_whiteness(innovations: np.ndarray, covariance: np.ndarray, lags: int =
 
 @dataclass(frozen=True, eq=False)
 class KalmanTuning:
-    """A tuned filter and what the data say of it.
+    """A tuned filter and its fit to the data.
 
     Attributes:
         observer: The filter.
-        log_likelihood: Of the innovations.
-        whiteness: Of the innovations.
+        log_likelihood: Log-likelihood of the innovations.
+        whiteness: Whiteness of the innovations.
     """
 
     observer: KalmanToolObserver
@@ -86,13 +85,13 @@ def tune_kalman(
     """Return the Kalman filter whose innovations are most likely.
 
     Args:
-        model: From computed to true tool positions.
+        model: Model from computed to true tool positions.
         kinematic: Tool positions computed from the actuators (N, m) [m].
         acceleration: The tool's, measured (N, m) [m/s^2].
-        start: Where to begin; its settings `aligned` and `predict` are kept.
+        start: Filter from which the search starts; its settings `aligned` and `predict` are kept.
     """
     rest = acceleration - acceleration.mean(axis=0)
-    quiet = np.maximum(np.var(np.diff(rest, n=2, axis=0), axis=0) / 6, 1e-12)  # what is white in it
+    quiet = np.maximum(np.var(np.diff(rest, n=2, axis=0), axis=0) / 6, 1e-12)  # its white part
     first = start or KalmanToolObserver(model, 1e-12, np.diag(quiet))
     scale = float(np.trace(np.atleast_2d(first.R2)) / first.axes)
 
@@ -120,7 +119,7 @@ def tune_complementary(
     """Return the complementary filter with the smallest error against measured tool positions (N, m) [m].
 
     Raises:
-        InputError: The signals are too short for a cutoff to be told, or their shapes differ.
+        InputError: The signals are too short to choose a cutoff, or their shapes differ.
     """
     if not kinematic.shape == acceleration.shape == tool.shape or kinematic.ndim != 2:
         raise InputError(

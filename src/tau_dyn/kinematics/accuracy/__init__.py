@@ -1,4 +1,4 @@
-"""How far the tool may be from where it should be, for stated errors of actuators, rods and joints (thesis 4.3, Appendix A)."""
+"""Positioning errors of the tool for given errors of actuators, rods and joints (thesis 4.3, Appendix A)."""
 
 from lazy_loader import attach_stub
 

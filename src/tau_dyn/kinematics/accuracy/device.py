@@ -1,12 +1,12 @@
-"""A robot with errors: where its tool goes, and how sensitive it is, for many poses at once.
+"""A robot with errors: the displacement of its tool and its sensitivity, for many poses at once.
 
 With rods `w_k = B_k - A_k`, `u_k = w_k / |w_k|` and the plate's motion (dp, phi), the constraint `|w_k| = L_k` (4.4) gives
 
     u_k . (dp + phi x R b_k) = u_k . dA_k - u_k . R db_k + dL_k,
 
-one scalar a rod: `C X = G e`. So an error of a base point counts by its component along the rod alone, and like one of the rod's
-length (A.3). `closed` solves the constraints themselves by Newton; it does not step over a singularity unnoticed. Without
-rods the same questions go through the whole tree.
+one scalar equation per rod: `C X = G e`. So only the component along the rod of an error of a base point counts, and it
+counts like an error of the rod's length (A.3). `closed` solves the constraints themselves by Newton's method; it does not
+step over a singularity unnoticed. Without rods the kinematics of the whole tree are used.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ _STEPS = 40  # Newton steps; small errors need three to five
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Where the robot is when nothing is wrong.
+    """State of the robot without errors.
 
     Attributes:
         q: Actuated positions (N, na) [m or rad].
-        position: The tool (N, 3) [m].
-        rotation: The tool (N, 3, 3).
-        plate: The plate (a `Poses`); for a serial arm the tool again.
+        position: Position of the tool (N, 3) [m].
+        rotation: Rotation of the tool (N, 3, 3).
+        plate: Poses of the plate; for a serial arm those of the tool.
     """
 
     q: np.ndarray
@@ -53,12 +53,12 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Moved:
-    """What errors have done to the tool.
+    """Effect of errors on the tool.
 
     Attributes:
-        shift: Displacement of the tool (N, 3) [m]; nan where the robot has no pose with these errors on its branch.
+        shift: Displacement of the tool (N, 3) [m]; nan if the robot has no pose with these errors on its branch.
         turn: Rotation vector of the tool's change of orientation (N, 3) [rad], in the world.
-        plate: Where the plate is.
+        plate: Poses of the plate.
         ok: Whether there is such a pose (N,).
     """
 
@@ -69,14 +69,14 @@ class Moved:
 
 
 class Device:
-    """Any mechanism; each actuator errs within an interval along its own motion.
+    """Any mechanism; each actuator has an error within an interval along its own motion.
 
     Attributes:
         kinematics: The mechanism.
-        legs: The device itself where it knows what its legs' errors do, else None.
-        balls: Where each source's numbers stand in an error `e` (m,), each within its unit ball.
-        labels: What each source is.
-        m: Number of numbers in `e`.
+        legs: The device itself if it models the errors of its legs, else None.
+        balls: Slice of each source in an error vector `e` (m,); the numbers of a source are within a unit ball.
+        labels: Description of each source.
+        m: Length of `e`.
         along: Largest error of each actuator along its own motion (na,) [m or rad].
         own: Whether every source touches one leg only.
     """
@@ -88,7 +88,7 @@ class Device:
         """Prepare.
 
         Raises:
-            InputError: An error is asked of a rod, or across a joint's motion.
+            InputError: An error is given for a rod, or across a joint's motion.
         """
         robot = kinematics.robot
         if errors.rods:
@@ -119,13 +119,13 @@ class Device:
         return self.kinematics.jacobian(state.q, Poses(state.position, state.rotation))
 
     def sensitivity(self, state: State, plate: Poses | None = None, e: np.ndarray | None = None) -> np.ndarray:
-        """Return `d(tool) / de` (N, 3 or 6, m): position, then rotation; at the errors given, else at none."""
+        """Return `d(tool) / de` (N, 3 or 6, m): position, then rotation; at the errors given, else without errors."""
         if e is None:
             return self.by_actuators(state) @ self._actuator
         return self.kinematics.jacobian(state.q + e @ self._actuator.T, plate) @ self._actuator
 
     def closed(self, state: State, e: np.ndarray) -> Moved:
-        """Return where errors `e` (N, m) put the tool: all constraints solved, on the branch that starts without errors."""
+        """Return the tool displaced by errors `e` (N, m): all constraints solved, on the branch that starts without errors."""
         found = self.kinematics.forward(state.q + e @ self._actuator.T, start=Poses(state.position, state.rotation))
         return _compare(state, found.poses, found.poses, np.asarray(found.ok))
 
@@ -134,7 +134,7 @@ class LegsDevice(Device):
     """A plate on legs and its error sources: of actuators along and across their motion, of legs and their joints."""
 
     def __init__(self, legs: Rods, errors: ErrorBounds) -> None:
-        """Prepare; the robot must hold its plate with exactly as many rods as that has freedoms."""
+        """Prepare; the robot must have exactly as many rods as its plate has degrees of freedom."""
         self.kinematics, self.rods, self.legs = legs, legs, self
         self.sources = s = build_rod_sources(legs, errors)
         self.balls, self.labels, self.m, self.along, self.own = s.balls, s.labels, s.m, s.along, s.own
@@ -150,7 +150,7 @@ class LegsDevice(Device):
         return State(q, tool.position, tool.rotation, self.rods.plate_poses(tool))
 
     def sensitivity(self, state: State, plate: Poses | None = None, e: np.ndarray | None = None) -> np.ndarray:
-        """Return `d(tool) / de` (N, 3 or 6, m): position, then rotation; at the errors given, else at none."""
+        """Return `d(tool) / de` (N, 3 or 6, m): position, then rotation; at the errors given, else without errors."""
         plate = state.plate if plate is None else plate
         C, G = self.tangent(state, plate, e)
         return self._at_tool(plate, solve(C, G))
@@ -173,7 +173,7 @@ class LegsDevice(Device):
         return A, self.rods.on_plate + np.tensordot(e, s.plate, (1, 2)), self.rods.leg_lengths(q) + e @ s.length.T
 
     def closed(self, state: State, e: np.ndarray) -> Moved:
-        """Return where errors `e` (N, m) put the tool: all constraints solved, on the branch that starts without errors."""
+        """Return the tool displaced by errors `e` (N, m): all constraints solved, on the branch that starts without errors."""
         A, b, L = self.ends(state.q, e)
         b = np.broadcast_to(b, A.shape)
         position, rotation = state.plate.position.copy(), np.array(state.plate.rotation)
@@ -196,7 +196,7 @@ class LegsDevice(Device):
     def _constraints(
         self, position: np.ndarray, rotation: np.ndarray, A: np.ndarray, b: np.ndarray, L: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return `C` (N, n, 3 or 6) and what each rod is short of its length (N, n) [m]."""
+        """Return `C` (N, n, 3 or 6) and each rod's length minus the present distance of its ends (N, n) [m]."""
         arm = np.einsum("Nab,Nkb->Nka", rotation, b)
         w = position[:, None] + arm - A
         reach = np.linalg.norm(w, axis=2)
@@ -221,14 +221,14 @@ class LegsDevice(Device):
 
 
 def _compare(state: State, tool: Poses, plate: Poses, ok: np.ndarray) -> Moved:
-    """Return how far the tool has come from where it should be."""
+    """Return the displacement of the tool from its intended pose."""
     turn = np.full((len(ok), 3), np.nan)
     turn[ok] = Rotation.from_matrix(tool.rotation[ok] @ state.rotation[ok].transpose(0, 2, 1)).as_rotvec()
     return Moved(np.where(ok[:, None], tool.position - state.position, np.nan), turn, plate, ok)
 
 
 def solve(C: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Return `C^-1 right` for many; nan where C is singular."""
+    """Return `C^-1 right` for many matrices; nan if C is singular."""
     try:
         return np.linalg.solve(C, right)
     except np.linalg.LinAlgError:
@@ -240,7 +240,7 @@ def solve(C: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def _limited(step: np.ndarray, L: np.ndarray) -> np.ndarray:
-    """Cut steps that leave the neighbourhood in which a linear step means anything."""
+    """Shorten steps that leave the neighbourhood in which linearisation is valid."""
     most = 0.2 * L.min(axis=1, keepdims=True)
     size = np.linalg.norm(step[:, :3], axis=1, keepdims=True)
     with np.errstate(all="ignore"):

@@ -1,13 +1,12 @@
-"""What may be wrong with a robot, each within a stated bound, and what it does to the robot's rods.
+"""Errors of a robot, each within a given bound, and their effect on the robot's rods.
 
-An actuator's error is where it really puts the point that it moves: within an ellipsoid around the intended point (thesis A.2,
-Table 4.2), or off by an angle for a turning joint. A rod's error is its length's and the places of its two joints (A.3).
-All sources together are `e` (m,), cut into `balls`: an interval is a ball of one number, an ellipsoid one of three. Rod k
-then has
+An actuator's error is the displacement of the point that it moves, within an ellipsoid around the intended point (thesis A.2,
+Table 4.2), or an angle for a turning joint. A rod has errors of its length and of the positions of its two joints (A.3). All
+sources together are `e` (m,), divided into `balls`: an interval is a ball of one number, an ellipsoid one of three. Rod k has
 
     A_k = A_k(q + Q e) + S_k e,   b_k = b_k + P_k e,   L_k = L_k(q + Q e) + l_k e,
 
-base point, joint on the plate and length (thesis 4.3 and A.1). A cart that carries several rods shifts them all alike.
+base point, joint on the plate and length (thesis 4.3 and A.1). A cart that carries several rods shifts all of them equally.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from tau_dyn.mechanism import Rods
 from tau_dyn.results import to_plain
 
 MAX_ERROR_SIZE = 0.5
-"""[m or rad] Larger errors are a slip of units."""
+"""[m or rad] Larger errors indicate a wrong unit."""
 _AXES = ("x", "y", "z")
 _ROD = ("length", "base", "plate")
 
@@ -36,9 +35,9 @@ class ActuatorError:
     """Bound on one actuator's error.
 
     Attributes:
-        along: Along its motion [m or rad].
-        across: In both directions across a guideway [m]; None where only the motion itself is uncertain.
-        axes: Semi-axes along x, y, z of the base [m] instead of both, as Table 4.2 has them; None otherwise.
+        along: Error along its motion [m or rad].
+        across: Error in both directions across a guideway [m]; None if only the motion itself is uncertain.
+        axes: Semi-axes along x, y, z of the base [m] instead of `along` and `across`, as in Table 4.2; None otherwise.
     """
 
     along: float = 0.0
@@ -46,7 +45,7 @@ class ActuatorError:
     axes: tuple[float, float, float] | None = None
 
     def to_dict(self) -> dict[str, float]:
-        """Return the error as it stands in an errors file."""
+        """Return the error in the form of an errors file."""
         if self.axes is not None:
             return dict(zip(_AXES, self.axes, strict=True))
         return {"along": self.along} | ({} if self.across is None else {"across": self.across})
@@ -64,9 +63,9 @@ class RodError:
     """Bounds on one rod's errors.
 
     Attributes:
-        length: Of its length [m], to either side.
-        base: Of the joint on the base's side, in any direction [m].
-        plate: Of the joint on the plate, in any direction [m].
+        length: Error of its length [m], to either side.
+        base: Error of the joint on the base's side, in any direction [m].
+        plate: Error of the joint on the plate, in any direction [m].
     """
 
     length: float = 0.0
@@ -76,14 +75,14 @@ class RodError:
 
 @dataclass(frozen=True)
 class ErrorBounds:
-    """All errors assumed of a robot, by actuated joint and by rod; what is not named is exact."""
+    """All errors assumed for a robot, by actuated joint and by rod; parts that are not named are exact."""
 
     actuators: Mapping[str, ActuatorError] = field(default_factory=dict)
     rods: Mapping[str, RodError] = field(default_factory=dict)
 
     @property
     def largest(self) -> float:
-        """Largest bound [m or rad], 0 where everything is exact."""
+        """Largest bound [m or rad], 0 without any error."""
         sizes = [s for a in self.actuators.values() for s in (a.along, a.across or 0.0, *(a.axes or ()))]
         return max([0.0, *sizes, *(s for r in self.rods.values() for s in (r.length, r.base, r.plate))])
 
@@ -101,12 +100,12 @@ class ErrorBounds:
         return ErrorBounds(actuators, rods)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the errors as they stand in an errors file."""
+        """Return the errors in the form of an errors file."""
         return to_plain({"actuators": self.actuators, "rods": self.rods})
 
 
 def build_isotropic_error(size: float) -> ActuatorError:
-    """Return the error of a point that lies within a ball of this radius [m]; of a turning joint, [rad]."""
+    """Return the error of a point within a ball of this radius [m], or of a turning joint [rad]."""
     return ActuatorError(size, size)
 
 
@@ -138,7 +137,7 @@ def read_errors_file(path: str | Path, actuated: Sequence[str], rods: Sequence[s
         rods: Names of the rods; empty for a serial arm.
 
     Raises:
-        InputError: The file is not such a file; a name, a key or a number is wrong.
+        InputError: The file is not an errors file, or a name, a key or a number is wrong.
     """
     where, content = str(path), read_yaml(path)
     if not isinstance(content, dict) or not content or not set(content) <= {"actuators", "rods"}:
@@ -210,18 +209,18 @@ def _size(value: object, where: str) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """What each unit of each source does.
+    """Effect of one unit of each source.
 
     Attributes:
-        balls: Where each source's numbers stand in `e`.
-        labels: What each source is, for a person.
+        balls: Slice of each source in `e`.
+        labels: Description of each source, for a person.
         actuator: `Q` (na, m) [m or rad].
         shift: `S` (n, 3, m) of the base points, in the world [m].
         plate: `P` (n, 3, m) of the joints on the plate, in its frame [m].
         length: `l` (n, m) [m].
         along: Largest error of each actuator along its own motion (na,) [m or rad].
         axes: For each rod the principal axes of its base point's ellipsoid (n, 3, 3), columns.
-        radii: Its semi-axes (n, 3) [m], enlarged by what acts alike in all directions (A.3).
+        radii: Its semi-axes (n, 3) [m], enlarged by the errors that are equal in all directions (A.3).
         own: Whether every source touches one rod only, so that rods err independently.
     """
 
@@ -256,7 +255,7 @@ def build_rod_sources(rods: Rods, errors: ErrorBounds) -> Sources:
     """Return the sources of a parallel robot's errors.
 
     Raises:
-        InputError: An error across the motion is asked of a joint that does not slide points along a fixed line.
+        InputError: An error across the motion is given for a joint that does not slide points along a fixed line.
     """
     lines = _guideways(rods)
     found = [*_actuators(rods, errors, lines), *_rods(rods, errors)]
@@ -281,7 +280,7 @@ def _joined(parts: list[np.ndarray], shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _guideways(rods: Rods) -> dict[str, tuple[np.ndarray, np.ndarray] | None]:
-    """Return for each actuated joint its unit direction and which rods it shifts; None where points do not run straight."""
+    """Return for each actuated joint its unit direction and the rods that it shifts; None if its points move on curves."""
     home = rods.robot.home[None]
     here, there = rods.base_jacobian(home)[0], rods.base_jacobian(home + 0.1)[0]
     lines: dict[str, tuple[np.ndarray, np.ndarray] | None] = {}
@@ -354,7 +353,7 @@ def _touched(source: _Source, rods: Rods) -> int:
 
 
 def _ellipsoids(rods: Rods, errors: ErrorBounds, lines: dict) -> tuple[np.ndarray, np.ndarray]:
-    """Return principal axes (n, 3, 3) and semi-axes (n, 3) of each rod's base point; nan where that is no ellipsoid."""
+    """Return principal axes (n, 3, 3) and semi-axes (n, 3) of each rod's base point; nan if its error is no ellipsoid."""
     n = len(rods.names)
     axes, radii = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
     for joint, error in errors.actuators.items():

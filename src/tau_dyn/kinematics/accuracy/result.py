@@ -1,4 +1,4 @@
-"""The answer of `tau-dyn accuracy`: a map or a list of poses, by every method, and where the simple bounds fail."""
+"""Result of `tau-dyn accuracy`: a map or a list of poses, by every method, and the poses where the simple bounds fail."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ CLOUD = 600
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """Where the tool may be at one pose.
+    """Possible positions of the tool at one pose.
 
     Attributes:
         pose: Number of the pose.
         cloud: Displacements by random errors (K, 3) [m].
-        corners: Corners of the first-order body of rods that err alone (8, 3) [m]; empty for other robots.
+        corners: Corners of the first-order body of rods with independent errors (8, 3) [m]; empty for other robots.
         worst: The exact worst displacement (3,) [m]; its opposite is nearly as bad.
     """
 
@@ -50,7 +50,7 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What measured points say of the modelling assumptions (thesis 4.2)."""
+    """Checks of the modelling assumptions on measured points (thesis 4.2)."""
 
     guideways: list[Guideway] = field(default_factory=list)
     parallel: list[Parallelism] = field(default_factory=list)
@@ -68,7 +68,7 @@ class Measured:
         return [*said, self.orientation.sentence] if self.orientation is not None else said
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what a result file holds of it."""
+        """Return its content in a result file."""
         checks = {"guideways": self.guideways, "parallelism": self.parallel, "loads": self.loads}
         return to_plain({**checks, "orientation": self.orientation})
 
@@ -85,11 +85,11 @@ class MethodSummary(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class AccuracyResult(Shown):
-    """Everything `tau-dyn accuracy` found.
+    """Complete result of `tau-dyn accuracy`.
 
     Attributes:
         robot: The robot.
-        accuracy: Errors at all poses; None where only measurements were checked.
+        accuracy: Errors at all poses; None if only measurements were checked.
         grid: The section's grid; None for a list of poses.
         growth: Enlarged errors at the worst pose; None without `exact`.
         bodies: Error bodies, at the pose nearest home and at the worst pose.
@@ -122,7 +122,7 @@ class AccuracyResult(Shown):
         return ~np.isfinite(a.largest["exact"]) if a is not None and "exact" in a.largest else np.zeros(0, bool)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the command's part of the JSON result."""
+        """Return the part of the JSON result that belongs to the command."""
         out: dict[str, Any] = {
             "robot": self.robot.source,
             "measured": self.measured.to_dict(),
@@ -204,16 +204,16 @@ def study_accuracy(
 
     Args:
         robot: The robot, or its kinematics.
-        errors: What may be wrong.
-        q: Actuated positions (N, na); of the reached points of `grid`, if there is one.
+        errors: Bounds of the errors.
+        q: Actuated positions (N, na); those of the reached points of `grid`, if it is given.
         tool: Poses of the tool there.
-        grid: The section they are of.
-        methods: Of `METHODS`.
-        samples: Random draws a pose.
-        seed: Of everything random.
-        measured: Checks to hand on.
-        from_measured: Whether `errors` come from them.
-        progress: Told what is under way.
+        grid: Grid to which the poses belong.
+        methods: Names out of `METHODS`.
+        samples: Random draws per pose.
+        seed: Seed of all random numbers.
+        measured: Checks to include in the result.
+        from_measured: Whether `errors` come from these checks.
+        progress: Called with the current step.
     """
     if not len(q):
         raise InputError("missing_input", "there are no poses to look at")

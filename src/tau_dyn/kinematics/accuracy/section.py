@@ -1,4 +1,4 @@
-"""A flat section through the workspace, a grid over what the robot reaches of it, and where to look without being told."""
+"""A flat section through the workspace, a grid over its reachable part, and the default section of a robot."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from tau_dyn.robot import Robot
 
 AXES = "xyz"
 _REACHED = 1e-8
-"""[m] How near the asked position the robot must come."""
+"""[m] Largest distance from the requested position that counts as reached."""
 COARSE = 25
 """Points to a side of the first, coarse look for the workspace."""
 UNLIMITED = 1e5
-"""[m or rad] A joint limit beyond this is none."""
+"""[m or rad] A joint limit beyond this counts as unlimited."""
 
 
 @dataclass(frozen=True)
 class Section:
-    """A plane orthogonal to an axis of the base, and the range looked at in it.
+    """A plane orthogonal to an axis of the base, and the range within it.
 
     Attributes:
         axis: 0, 1, 2 for x, y, z.
-        value: Where it cuts that axis [m].
-        across: Range of each of the other two axes [m]; None to find what is reached.
+        value: Coordinate at which it cuts that axis [m].
+        across: Range of each of the other two axes [m]; None for the range that the robot reaches.
     """
 
     axis: int
@@ -42,10 +42,10 @@ class Section:
         return ((1, 2), (0, 2), (0, 1))[self.axis]
 
     def within(self, ranges: Sequence[str]) -> Section:
-        """Return the section limited by words such as `y=-1:0.5`, one for each of its two axes; none for all that is reached.
+        """Return the section limited by words such as `y=-1:0.5`, one per axis of the section; without words unlimited.
 
         Raises:
-            InputError: A word is not of this kind, or one axis has none.
+            InputError: A word has another form, or only one axis has a range.
         """
         if not ranges:
             return self
@@ -59,7 +59,7 @@ class Section:
 
     @property
     def words(self) -> str:
-        """Such as `x = 1.75 m`."""
+        """Text such as `x = 1.75 m`."""
         return f"{AXES[self.axis]} = {self.value:.4g} m"
 
 
@@ -72,7 +72,7 @@ class Grid:
         u: Horizontal coordinates (nu,) [m].
         v: Vertical coordinates (nv,) [m].
         poses: Tool poses (nv * nu), v the slower.
-        q: Actuated positions (nv * nu, na), nan where there are none.
+        q: Actuated positions (nv * nu, na), nan for points that are not reached.
         ok: Whether the robot reaches the point (nv * nu,).
     """
 
@@ -125,13 +125,13 @@ def lay_grid(
 
     Args:
         robot: The robot, or its kinematics.
-        section: Where.
+        section: The section.
         n: Points along the longer side.
         limits: Whether actuators must stay within their limits.
-        reach: How far from home to look [m]; None for what the mechanism's size allows.
+        reach: Search radius around home [m]; None for a value from the mechanism's size.
 
     Raises:
-        InputError: The robot reaches nothing of the section.
+        InputError: The robot does not reach the section.
     """
     kinematics, range_ = build_kinematics(robot), section.across
     tool = kinematics.commanded.home
@@ -151,7 +151,7 @@ def lay_grid(
 
 
 def _filled(kinematics: Kinematics, tool: Poses, section: Section, u: np.ndarray, v: np.ndarray, limits: bool) -> Grid:
-    """Solve a grid, outwards from the point nearest home; all of it where that point is not reached."""
+    """Solve a grid, outwards from the point nearest home; all points at once if that point is not reached."""
     a, b = section.others
     position = np.empty((len(v), len(u), 3))
     position[..., section.axis] = section.value
@@ -177,7 +177,7 @@ def _filled(kinematics: Kinematics, tool: Poses, section: Section, u: np.ndarray
 
 
 def _solve(kinematics: Kinematics, grid: Grid, index: np.ndarray, limits: bool) -> None:
-    """Fill in the grid's points at an index: positions, and the orientation that the robot really has there."""
+    """Fill in the grid's points at an index: positions, and the orientation that the robot reaches there."""
     asked = grid.poses.take(index)
     found = kinematics.inverse(asked, limits=limits)
     there = np.flatnonzero(found.ok)
@@ -190,7 +190,7 @@ def _solve(kinematics: Kinematics, grid: Grid, index: np.ndarray, limits: bool) 
 
 
 def _is_on_home_side(kinematics: Kinematics, q: np.ndarray, poses: Poses) -> np.ndarray:
-    """Return which poses lie on home's side of the parallel singularities, so that they are reached without crossing one."""
+    """Return which poses are on home's side of the parallel singularities, so that they are reached without crossing one."""
     home = kinematics.closure_by_pose(kinematics.robot.home[None], kinematics.commanded.home)
     return np.sign(np.linalg.det(kinematics.closure_by_pose(q, poses))) == np.sign(np.linalg.det(home))
 
@@ -207,7 +207,7 @@ def _around(coarse: Grid, kinematics: Kinematics) -> tuple[tuple[float, float], 
 
 
 def _describe_unreached(kinematics: Kinematics, section: Section, tool: Poses | None) -> str:
-    """Return the sentence about a section of which the robot reaches nothing."""
+    """Return the sentence about a section that the robot does not reach."""
     axis = AXES[section.axis]
     home = "" if tool is None else f"; at home the tool is at {axis}={tool.position[0, section.axis]:.4g}"
     return (
@@ -217,7 +217,7 @@ def _describe_unreached(kinematics: Kinematics, section: Section, tool: Poses | 
 
 
 def _size(kinematics: Kinematics, tool: Poses) -> float:
-    """Return a distance from home beyond which the tool does not come [m]."""
+    """Return a distance from home that the tool does not exceed [m]."""
     robot, legs = kinematics.robot, kinematics.legs
     if legs is not None:
         A, L = legs.base_points(robot.home[None])[0], legs.leg_lengths(robot.home[None])[0]
@@ -229,15 +229,15 @@ def _size(kinematics: Kinematics, tool: Poses) -> float:
 
 ENOUGH_POINTS = 10
 """Reached points of a default section; with fewer the other sections through home are tried."""
-_NEARBY = 0.05  # [m or rad] from home, where directions of motion are looked for
+_NEARBY = 0.05  # [m or rad] from home, within which directions of motion are determined
 _STILL = 1e-9  # share of the largest speed below which the tool does not move along an axis
 _FLAT = 1e-9  # [m] extent of the tool's motion along an axis below which it stays in a plane
 
 
 def choose_default_section(robot: Robot | Kinematics) -> Section:
-    """Return the section through home across the guideways; where nothing slides, across z.
+    """Return the section through home across the guideways; across z if no actuator slides.
 
-    Without legs it is the plane of the tool's motion where that is one orthogonal to an axis, else across y.
+    Without legs it is the plane of the tool's motion if that plane is orthogonal to an axis, else across y.
     """
     kinematics = build_kinematics(robot)
     owner, legs = kinematics.robot, kinematics.legs
@@ -249,7 +249,7 @@ def choose_default_section(robot: Robot | Kinematics) -> Section:
 
 
 def lay_default_grid(robot: Robot | Kinematics, n: int, *, limits: bool = True) -> Grid:
-    """Return a grid over the default section, or over another one through home where the robot reaches too little of that.
+    """Return a grid over the default section, or over another one through home if the robot reaches too little of it.
 
     Args:
         robot: The robot, or its kinematics.
@@ -257,7 +257,7 @@ def lay_default_grid(robot: Robot | Kinematics, n: int, *, limits: bool = True) 
         limits: Whether actuators must stay within their limits.
 
     Raises:
-        InputError: The robot reaches nothing of the three sections through home.
+        InputError: The robot does not reach any of the three sections through home.
     """
     kinematics = build_kinematics(robot)
     first = choose_default_section(kinematics)
@@ -279,9 +279,9 @@ def lay_default_grid(robot: Robot | Kinematics, n: int, *, limits: bool = True) 
 def sample_default_motion(robot: Robot, n: int) -> tuple[np.ndarray, Poses] | None:
     """Return at least n positions (m, na) over a robot's whole motion, and the poses of those that close.
 
-    A section crosses the curve or curved surface of one or two actuators in a few points only, and means nothing to a tool
-    whose positions are not commanded (a 3-PRS). None where a section suits: other robots with more actuators, or with two
-    that keep the tool in a plane orthogonal to an axis.
+    A section crosses the curve or curved surface of one or two actuators in a few points only, and is not defined for a tool
+    whose position is not commanded (a 3-PRS). The result is None if a section is suitable: for other robots with more
+    actuators, or with two that keep the tool in a plane orthogonal to an axis.
     """
     kinematics = build_kinematics(robot)
     if robot.na > 2 and commands_positions(kinematics):
@@ -297,7 +297,7 @@ def sample_default_motion(robot: Robot, n: int) -> tuple[np.ndarray, Poses] | No
 def sample_motion(robot: Robot, n: int) -> np.ndarray:
     """Return at least n positions (m, na) [m or rad], evenly over all actuators' ranges.
 
-    An actuator without limits goes a quarter turn or 0.5 m to each side of home.
+    An actuator without limits moves by a quarter turn or 0.5 m to each side of home.
     """
     reach = np.where(np.array(robot.joint_kinds) == "revolute", np.pi / 2, 0.5)
     low = np.where(np.abs(robot.lower) < UNLIMITED, robot.lower, robot.home - reach)
@@ -312,7 +312,7 @@ def _cut_at_home(kinematics: Kinematics, axis: int) -> Section:
 
 
 def _find_plane(kinematics: Kinematics) -> int:
-    """Return the axis orthogonal to all velocities of the tool at home and near it; 1 where there is none."""
+    """Return the axis orthogonal to all velocities of the tool at home and near it; 1 if no axis is."""
     robot = kinematics.robot
     near = robot.home + np.random.default_rng(0).uniform(-_NEARBY, _NEARBY, (4, robot.na))
     J = kinematics.jacobian(np.vstack([robot.home, near]))[:, :3]

@@ -1,24 +1,26 @@
 """The error body of a plate on rods by its shells: parallelepiped, ellipsoids and a certified bound (thesis, Appendix A).
 
-Parallelepiped (A.4): its faces are orthogonal to the rods and `2 h_k` apart, `h_k` the largest component of rod k's error along
-the rod. The sum of the diagonals' squares is `4 sum h_k^2 (C C')^-1_kk`, at least `4 sum h_k^2` as the rows of C have length
-one: rods orthogonal to each other make the worst case smallest, as A.4 says, for unequal errors too.
+Parallelepiped (A.4): its faces are orthogonal to the rods with distances `2 h_k`, `h_k` the largest component of rod k's
+error along the rod. The sum of the diagonals' squares is `4 sum h_k^2 (C C')^-1_kk`, at least `4 sum h_k^2` as the rows of C
+have length one: orthogonal rods have the smallest worst case, as stated in A.4, for unequal errors too.
 
-Ellipsoids (A.2): rod k's free end lies between two ellipsoids around the nominal base point, with semi-axes `L_k -+ r_k,i` along
-the base error's own axes. Each of the 2^n corners takes one ellipsoid a rod and repeats: project the end's current position on
-its ellipsoid along the ray from the centre, take the tangent plane there, intersect the planes (steps 1 to 6; here for plates
-that turn, too). These ellipsoids are too thin. The end's exact outer limit is the parallel surface of the error ellipsoid, so
-along a unit direction u it lies `sqrt(sum r_i^2 u_i^2)` outside the sphere, and the ellipsoid `L + r_i` only `sum r_i u_i^2`:
-equal on the axes and for a ball, too small everywhere else, to first order. `worst_case.py` has the exact limit.
+Ellipsoids (A.2): rod k's free end is between two ellipsoids around the nominal base point, with semi-axes `L_k -+ r_k,i`
+along the base error's own axes. For each of the 2^n corners one ellipsoid per rod is chosen and three steps are repeated:
+project the end's current position on its ellipsoid along the ray from the centre, compute the tangent plane there, intersect
+the planes (steps 1 to 6; here also for plates that turn). The shell between the ellipsoids is too thin. The end's exact outer
+limit is the parallel surface of the error ellipsoid, at the distance `sqrt(sum r_i^2 u_i^2)` outside the sphere along a unit
+direction u. The ellipsoid `L + r_i` is only `sum r_i u_i^2` outside: equal on the axes and for a ball, too small in all other
+directions, to first order. `worst_case.py` has the exact limit.
 
-Certified: with w = B - A, |w| = L and D the whole change of w, `|w + D| = L + l` reads exactly
+Certified bound: with w = B - A, |w| = L and D the whole change of w, `|w + D| = L + l` is exactly
 
     u . (dp + phi x R b) = [u . dA - u . R db + l] + r,      r = (l^2 - |D|^2) / 2L - u . (R' - R - [phi] R) b - u . (R' - R) db,
 
-and |r| is bounded by the displacement itself: |D| <= d + t (|b| + |db|) + |db| + |dA| for |dp| <= d, |phi| <= t. If d and t bound
-the right side's solution, that map takes the ball (d, t) into itself and shrinks distances there, so exactly one pose lies in it
-(Banach; Kantorovich's condition for quadrics), which is the one reached from no error. The smallest such d comes from
-repeating. Where repeating runs away, near a singularity, nothing is certified. Cf. Goldsztejn, Caro and Chabert 2015.
+and |r| is bounded by the displacement itself: |D| <= d + t (|b| + |db|) + |db| + |dA| for |dp| <= d, |phi| <= t. If d and t
+bound the right side's solution, this map takes the ball (d, t) into itself and is a contraction there, so the ball contains
+exactly one pose (Banach; Kantorovich's condition for quadrics), the one on the branch without errors. The smallest such d is
+found by fixed-point iteration. If the iteration diverges, near a singularity, no bound is certified. Cf. Goldsztejn, Caro and
+Chabert 2015.
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ from tau_dyn.mechanism import Poses
 
 
 def compute_half_heights(device: LegsDevice, state: State) -> np.ndarray:
-    """Return `h_k` (N, n) [m]: the sum over the sources of what each can do along rod k, had the rod it alone."""
+    """Return `h_k` (N, n) [m]: the sum over the sources of the largest error of each along rod k."""
     _, G = device.tangent(state, state.plate)
     blocks = [np.linalg.norm(G[:, :, ball], axis=2) for ball in device.balls]
     return np.sum(blocks, axis=0) if blocks else np.zeros(G.shape[:2])
@@ -58,7 +60,7 @@ _TOLERANCE = 1e-12
 
 
 def explain_no_ellipsoids(device: LegsDevice) -> str:
-    """Return why the method does not apply, '' where it does: every rod needs its own ellipsoid."""
+    """Return why the method does not apply, '' if it does: every rod needs its own ellipsoid."""
     if not device.sources.own:
         return "rods share a source of error, so that their shells are not independent"
     return "" if np.isfinite(device.sources.radii).all() else "an actuator's error is no ellipsoid of a base point"
@@ -98,7 +100,7 @@ def _corner(device: LegsDevice, state: State, sign: np.ndarray) -> tuple[np.ndar
 
 
 def _projected(w: np.ndarray, axes: np.ndarray, semi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return where the rays along `w` (N, n, 3) pierce the ellipsoids, from w's end, and the unit normals there."""
+    """Return the intersections of rays along `w` (N, n, 3) with the ellipsoids, from w's end, and the unit normals there."""
     own = np.einsum("kab,Nka->Nkb", axes, w)
     on = own / np.linalg.norm(own / semi, axis=2, keepdims=True)
     normal = on / semi**2
@@ -108,18 +110,18 @@ def _projected(w: np.ndarray, axes: np.ndarray, semi: np.ndarray) -> tuple[np.nd
 
 
 def measure_largest(displacements: np.ndarray) -> np.ndarray:
-    """Return the farthest corner's distance (N,) [m]; nan where a corner is missing."""
+    """Return the farthest corner's distance (N,) [m]; nan if a corner is missing."""
     return np.linalg.norm(displacements, axis=2).max(axis=1)
 
 
 MAX_FIXED_POINT_STEPS = 200  # of the fixed-point iteration; it converges linearly or not at all
 _MAX_BOUND_RATIO = 0.25
 """Share of the shortest rod up to which a bound is sought."""
-_SAFE = 1 + 1e-9  # factor that outweighs rounding, so that the bound stays one
+_SAFE = 1 + 1e-9  # factor that is larger than rounding errors, so that the bound stays valid
 
 
 def explain_no_certificate(device: LegsDevice) -> str:
-    """Return why the bound does not apply, '' where it does."""
+    """Return why the bound does not apply, '' if it does."""
     rods, Q = device.rods, device.sources.actuator
     home = rods.robot.home[None]
     curved = np.any(rods.base_jacobian(home) @ Q) or np.any((rods.leg_rates(home) - rods.leg_rates(home + 0.05)) @ Q)
@@ -127,7 +129,7 @@ def explain_no_certificate(device: LegsDevice) -> str:
 
 
 def bound_displacement(device: LegsDevice, state: State) -> np.ndarray:
-    """Return a displacement of the tool (N,) [m] that no errors within their bounds exceed; nan where none is proved."""
+    """Return a displacement of the tool (N,) [m] that no errors within their bounds exceed; nan without a proof."""
     A, b, L = device.ends(state.q, None)
     s, shortest = device.sources, L.min(axis=1)
     levers = np.linalg.norm(b[0], axis=1)

@@ -1,4 +1,4 @@
-"""How far the tool may be from where it should be: every method on the same errors, at many poses, and on enlarged ones."""
+"""Positioning errors of the tool: every method with the same errors, at many poses, and with enlarged errors."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from tau_dyn.robot import Robot
 
 METHODS = ("linear", "parallelepiped", "ellipsoid", "exact", "certified", "montecarlo")
 BLOCK = 2000
-"""Poses worked on at once."""
+"""Poses computed at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,18 +34,18 @@ class Accuracy:
     """Positioning errors at many poses.
 
     Attributes:
-        errors: What was assumed.
+        errors: Bounds of the errors.
         q: Actuated positions (N, na).
         position: Intended tool positions (N, 3) [m].
-        largest: Largest displacement of the tool by method, each (N,) [m]; nan where the method gives none there.
+        largest: Largest displacement of the tool by method, each (N,) [m]; nan where a method has no result.
         turned: Largest change of orientation by method, each (N,) [rad]; empty for a plate that only translates.
-        usual: What 95 % of random errors stay below (N,) [m]; empty without Monte Carlo.
+        usual: 95 % quantile of the displacement by random errors (N,) [m]; empty without Monte Carlo.
         worst: Errors at the exact worst case (N, m), each source within its unit ball; empty without `exact`.
-        direction: Where that points (N, 3).
-        faces: Areas of the parallelepiped's faces orthogonal to each rod (N, 3) [m^2]; empty where there is none.
-        labels: What each source is.
-        left_out: Methods that do not apply, and why.
-        samples: Draws a pose.
+        direction: Direction of the worst displacement (N, 3).
+        faces: Areas of the parallelepiped's faces orthogonal to each rod (N, 3) [m^2]; empty without a parallelepiped.
+        labels: Description of each source.
+        left_out: Methods that do not apply, with the reason.
+        samples: Draws per pose.
     """
 
     errors: ErrorBounds
@@ -63,21 +63,21 @@ class Accuracy:
 
     @property
     def best_method(self) -> str:
-        """The method whose word counts: exact where it ran, else the nearest to it."""
+        """The method with the highest priority: `exact` if it was computed, else the nearest to it."""
         order = ("exact", "parallelepiped", "ellipsoid", "linear", "montecarlo", "certified")
         return next(m for m in order if m in self.largest)
 
     def off(self, method: str) -> np.ndarray:
-        """Return by what share a method differs from the exact worst case (N,): -0.1 is 10 % too small."""
+        """Return the relative difference of a method from the exact worst case (N,): -0.1 is 10 % too small."""
         with np.errstate(all="ignore"):
             return self.largest[method] / self.largest["exact"] - 1
 
 
 def build_device(robot: Robot | Kinematics, errors: ErrorBounds) -> Device:
-    """Return the robot with its error sources, of its legs too where it has them.
+    """Return the robot with its error sources, those of its legs included.
 
     Raises:
-        InputError: Nothing errs, or an error does not fit the robot.
+        InputError: All errors are zero, or an error does not fit the robot.
     """
     if not errors.largest:
         raise InputError(
@@ -99,20 +99,20 @@ def compute_positioning_errors(
     seed: int = 0,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Accuracy:
-    """Return the tool's largest errors at many poses, by every method asked for.
+    """Return the tool's largest errors at many poses, by every requested method.
 
     Args:
-        device: The robot with its errors, of `build_device`.
-        errors: The same errors, to be kept with the result.
+        device: The robot with its errors, from `build_device`.
+        errors: The same errors, to be stored with the result.
         q: Actuated positions (N, na) [m or rad].
         tool: Poses of the tool there (N).
-        methods: Of `METHODS`.
-        samples: Random draws a pose for `montecarlo`.
-        seed: Of those draws.
-        progress: Told what is under way.
+        methods: Names out of `METHODS`.
+        samples: Random draws per pose for `montecarlo`.
+        seed: Seed of those draws.
+        progress: Called with the current step.
 
     Raises:
-        InputError: Unknown methods, or none that applies.
+        InputError: A method is unknown, or no method applies.
     """
     unknown = [m for m in methods if m not in METHODS]
     if unknown:
@@ -172,7 +172,7 @@ def _some(device: Device, state: State, methods: Sequence[str], samples: int, se
 
 
 def _by_actuators(device: Device, state: State, turns: bool) -> dict[str, np.ndarray]:
-    """Return the catalogue's bound: actuators err along their motion only, through the Jacobian."""
+    """Return the bound of data sheets: errors of the actuators along their motion only, through the Jacobian."""
     H = device.by_actuators(state) * device.along
     H = H[:, :, device.along > 0]
     balls = tuple(slice(k, k + 1) for k in range(H.shape[2]))
@@ -204,15 +204,15 @@ class Growth(NamedTuple):
     """Errors enlarged at one pose.
 
     Attributes:
-        factors: By how much (k,).
-        largest: Largest displacement by method, each (k,) [m]; nan where there is none.
+        factors: Factors of the errors (k,).
+        largest: Largest displacement by method, each (k,) [m]; nan without a result.
     """
 
     factors: np.ndarray
     largest: dict[str, np.ndarray]
 
     def holds_to(self, method: str, share: float) -> float:
-        """Return the largest factor, of those tried, up to which a method is within a share of the exact; nan for none."""
+        """Return the largest tested factor up to which a method is within a share of the exact result, or nan."""
         with np.errstate(all="ignore"):
             off = np.abs(self.largest[method] / self.largest["exact"] - 1)
         good = np.cumprod(off <= share).astype(bool)

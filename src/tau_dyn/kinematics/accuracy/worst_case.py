@@ -4,12 +4,12 @@ To first order the tool moves by `H e = sum_s H_s e_s` with every source `|e_s| 
 
     max_e |H e| = max_{|c| = 1} sum_s |H_s' c|,
 
-reached at `e_s = H_s' c / |H_s' c|`. For three rods that err on their own this set is A.4's parallelepiped and `c` points
-along one of its four diagonals; rods that share a cart round it off. The right side is convex in `c`, so repeating
-`c <- H e(c)` climbs; it starts at every diagonal, which makes it exact where all sources are rods' own, and in 13 more
-directions otherwise. The same climb with the constraints solved at every step gives the true worst case; where the error
-sets are small against the rods this is the corner of the curved body S^T of A.2. Monte Carlo draws errors at random within
-their bounds and solves the constraints for each draw.
+reached at `e_s = H_s' c / |H_s' c|`. For three rods with independent errors this set is A.4's parallelepiped and `c` points
+along one of its four diagonals; rods that share a cart round it off. The right side is convex in `c`, so the iteration
+`c <- H e(c)` increases it. It starts at every diagonal, which makes it exact if every source belongs to one rod, and in 13
+more directions otherwise. The same iteration with the constraints solved at every step gives the true worst case; if the
+error sets are small compared with the rods this is the corner of the curved body S^T of A.2. Monte Carlo draws errors at
+random within their bounds and solves the constraints for each draw.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 from tau_dyn.kinematics.accuracy.device import Device, State
 
 MAX_ITERATIONS = 12
-"""Steps to first order; each doubles the digits of a direction that is not a corner already."""
+"""Steps to first order; each doubles the digits of a direction that is not yet a corner."""
 CLOSED_CLIMBS = 4  # fixed-point steps from each corner; the first two do nearly all
 MAX_SIGNED_RODS = 6
 """Rods up to which every combination of signs is tried."""
@@ -34,9 +34,9 @@ class Worst(NamedTuple):
     """A largest displacement.
 
     Attributes:
-        size: (N,) [m or rad]; nan where the robot has no pose on its branch at some corner of the errors.
+        size: Size (N,) [m or rad]; nan if the robot has no pose on its branch at some corner of the errors.
         e: The errors that cause it (N, m).
-        direction: Where it points (N, 3).
+        direction: Its direction (N, 3).
     """
 
     size: np.ndarray
@@ -78,7 +78,7 @@ def _aligned(H: np.ndarray, c: np.ndarray, balls: tuple[slice, ...]) -> np.ndarr
 
 
 def _starts(H: np.ndarray, balls: tuple[slice, ...], own: bool) -> np.ndarray:
-    """Return start directions (N, S, 3): the diagonals of sign combinations, and others where sources are shared."""
+    """Return start directions (N, S, 3): the diagonals of sign combinations, and others if rods share sources."""
     main = [_main_direction(H[:, :, ball]) for ball in balls]
     groups = _parallel_groups(main)
     starts = []
@@ -138,7 +138,7 @@ def solve_worst_case(device: Device, state: State, corners: np.ndarray, *, part:
 
 
 def _climb(device: Device, state: State, e: np.ndarray, part: slice) -> tuple[Worst, np.ndarray]:
-    """Return the farthest place found from errors `e` (N, m) on, and which poses lost their branch on the way."""
+    """Return the largest displacement found from errors `e` (N, m), and which poses lost their branch on the way."""
     best = Worst(np.zeros(len(e)), e, np.zeros((len(e), 3)))
     lost = np.zeros(len(e), bool)
     for _ in range(CLOSED_CLIMBS):
@@ -165,12 +165,12 @@ BLOCK = 20_000
 
 
 class Draws(NamedTuple):
-    """What random errors do at each pose, in metres; `turn_` in radians.
+    """Effect of random errors at each pose, in metres; `turn_` in radians.
 
     Attributes:
         largest: Largest displacement drawn (N,).
-        usual: The displacement that 95 % of the draws stay below (N,).
-        mean: (N,).
+        usual: 95 % quantile of the displacement (N,).
+        mean: Mean displacement (N,).
         turn_largest: Largest change of orientation drawn (N,) [rad].
         lost: Share of the draws for which the robot has no pose on its branch (N,).
     """
@@ -194,9 +194,9 @@ def draw(balls: tuple[slice, ...], m: int, shape: tuple[int, ...], rng: np.rando
 
 
 def monte_carlo(device: Device, state: State, samples: int, seed: int) -> Draws:
-    """Return statistics of `samples` draws at every pose, the same draws at all of them.
+    """Return statistics of `samples` draws at every pose, with the same draws at all poses.
 
-    The same draws everywhere make a map smooth and cheap; poses are then compared on equal terms.
+    The same draws make a map smooth and cheap, and poses comparable.
     """
     e = draw(device.balls, device.m, (samples,), np.random.default_rng(seed))
     rows = [_draw_at(device, state.take(slice(i, i + step)), e)

@@ -1,4 +1,4 @@
-"""Every way to put a parallel robot together at given actuated positions, and which of them it can move between."""
+"""Assembly modes of a parallel robot at given actuated positions, and the modes between which it can move."""
 
 from lazy_loader import attach_stub
 

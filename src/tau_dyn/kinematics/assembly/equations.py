@@ -6,8 +6,8 @@ condition `e . h = 0`:
 
     K |e|^2 + |h|^2 + 2 e' L_A R_B e + 2 h' (R_B - L_A) e = 0,      K = |A|^2 + |B|^2 - L^2,
 
-`L_A e = A e` and `R_B e = e B` being products of quaternions. `x` and `c x` are the same pose, so the quaternion's
-sign does not count twice: 40 points for the general hexapod, not 80. `e = 0` solves too and is no pose. References:
+with the products of quaternions `L_A e = A e` and `R_B e = e B`. `x` and `c x` are the same pose, so both signs of a
+quaternion count once: 40 points for the general hexapod, not 80. `e = 0` is a solution as well, but no pose. References:
 Husty 1996 and Wampler 1996, Mechanism and Machine Theory 31, pp. 365 and 331.
 
 `start.csv` holds a general complex hexapod with its 40 solutions. A straight line from general complex numbers to any real ones
@@ -79,7 +79,7 @@ def normalise_hexapod(base: np.ndarray, plate: np.ndarray, lengths: np.ndarray) 
 def build_quadrics(hexapod: Hexapod) -> np.ndarray:
     """Return seven symmetric matrices (7, 8, 8): the first rod, the others minus the first, Study's condition.
 
-    The differences have no `|h|^2`, which would drown the rest where a pose is far away and `e` small.
+    The differences have no `|h|^2`, which would dominate the other terms if a pose is far away and `e` is small.
     """
     left = np.tensordot(hexapod.base, _LEFT, 1)
     right = np.tensordot(hexapod.plate, _RIGHT, 1)
@@ -94,7 +94,7 @@ def build_quadrics(hexapod: Hexapod) -> np.ndarray:
 
 
 def bound_magnitudes(hexapod: Hexapod, lengths: np.ndarray) -> np.ndarray:
-    """Return bounds (7, 8, 8) on every term that was added up in `build_quadrics`: what rounding errors are relative to."""
+    """Return bounds (7, 8, 8) on every term of the sums in `build_quadrics`; rounding errors are relative to them."""
     A, B = np.abs(hexapod.base), np.abs(hexapod.plate)
     left, right = np.tensordot(A, np.abs(_LEFT), 1), np.tensordot(B, np.abs(_RIGHT), 1)
     offset = (A**2).sum(axis=1) + (B**2).sum(axis=1) + lengths**2
@@ -170,7 +170,7 @@ _BOUNDS = {(3, 2, 1): 8, (3, 1, 1, 1): 16, (2, 2, 2): 16}
 
 
 def count_shared_ends(points: np.ndarray) -> tuple[int, ...]:
-    """Return how many rods end in each point of (6, 3), most first; points count as one only where they are exactly equal."""
+    """Return how many rods end in each point of (6, 3), most first; only exactly equal points count as one."""
     return tuple(sorted(np.unique(points, axis=0, return_counts=True)[1].tolist(), reverse=True))
 
 

@@ -1,8 +1,8 @@
-"""Solutions of seven quadrics followed while their coefficients move: Taylor series as predictor, Newton as corrector.
+"""Homotopy continuation of the solutions of seven quadrics: Taylor series as predictor, Newton's method as corrector.
 
-The path `x(t)` of `x' Q(t) x = 0` has a power series whose terms all come from one inverse Jacobian, since `Q` is
-quadratic in `t`. The last terms say how near the next branch point is, so the step is known beforehand and a jump to a
-neighbouring path is rare (Telen, Van Barel & Verschelde 2020, SIAM J. Sci. Comput. 42, A3610). All paths go together,
+The path `x(t)` of `x' Q(t) x = 0` has a power series whose terms are all computed with one inverse Jacobian, since `Q` is
+quadratic in `t`. The last terms give the distance to the next branch point, so the step is known in advance and a jump to a
+neighbouring path is rare (Telen, Van Barel & Verschelde 2020, SIAM J. Sci. Comput. 42, A3610). All paths are followed together,
 each with its own step.
 """
 
@@ -16,21 +16,21 @@ from tau_dyn.kinematics.assembly.equations import Hexapod, build_quadrics
 
 _ORDER = 12  # of the power series of a path step (Telen, Van Barel & Verschelde 2020)
 _MIN_REMAINING_PATH = 1e-13
-"""A path that is still under way this near to the end, ends in a singular point."""
+"""A path that is not finished this near to the end, ends in a singular point."""
 _NULL, _SMALLEST_NULL = 1e-2, 1e-11
-"""The same where the quaternion is about to be null, `|e . e| < _NULL |e|^2`: such an end is no pose, and slow to reach."""
+"""The same if the quaternion is nearly null, `|e . e| < _NULL |e|^2`: such an end is no pose, and slow to reach."""
 _NEWTON = 1e-3
-"""A first correction above this share of the point means that the prediction is not to be trusted."""
+"""A first correction above this share of the point means that the prediction is unreliable."""
 _NOISE = 1e-9
 """Corrections below this count as converged."""
 
 
 class HomotopyPaths(NamedTuple):
-    """Where the paths ended.
+    """Ends of the paths.
 
     Attributes:
         x: Points (n, 8) of norm one.
-        t: How far each came (n,); 1 where the end is regular.
+        t: Parameter that each path reached (n,); 1 if the end is regular.
     """
 
     x: np.ndarray
@@ -48,11 +48,11 @@ def track_homotopy(
     """Follow solutions (n, 8) of one hexapod to those of another along the straight line between their numbers.
 
     Args:
-        start: Where `x` solves.
-        end: Where to go.
+        start: Hexapod with the solutions `x`.
+        end: Hexapod at the end of the paths.
         x: Solutions at `start`.
-        tolerance: Error that the last terms of the series may promise, as a share of the point.
-        max_steps: After these, what is still under way is given up.
+        tolerance: Largest error predicted by the last terms of the series, as a share of the point.
+        max_steps: Steps after which unfinished paths are abandoned.
     """
     moving = _Moving.between(start, end)
     x, t, shrink = x / np.linalg.norm(x, axis=1, keepdims=True), np.zeros(len(x)), np.ones(len(x))
@@ -121,7 +121,7 @@ class _Moving(NamedTuple):
         t = t[:, None]
         for k in range(_ORDER + 1):
             block = factors[:, last - 24 * k : last - 24 * k + 24]
-            if k > 0:  # what does not depend on the new term
+            if k > 0:  # terms that do not depend on the new one
                 block[:, 8:16] = X[k - 1]
                 block[:, 16:] = 2 * t * X[k - 1] + (X[k - 2] if k > 1 else 0)
                 known = products[:, :, : 24 * (k + 1)] @ factors[:, last - 24 * k :, None]
@@ -133,7 +133,7 @@ class _Moving(NamedTuple):
         return X
 
     def correct(self, x: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return points after three Newton steps, and which of them converged as Newton's method must."""
+        """Return points after three Newton steps, and which of them converged at the rate of Newton's method."""
         sizes, inverse = [], np.zeros(0)
         for _ in range(3):
             x = x / np.linalg.norm(x, axis=1, keepdims=True)
@@ -143,7 +143,7 @@ class _Moving(NamedTuple):
             sizes.append(np.linalg.norm(change, axis=1))
         first, second, third = sizes
         with np.errstate(invalid="ignore"):
-            noise = _NOISE + 1e-15 * np.linalg.norm(inverse, axis=(1, 2))  # what rounding does near a singular point
+            noise = _NOISE + 1e-15 * np.linalg.norm(inverse, axis=(1, 2))  # rounding errors near a singular point
             good = (first < _NEWTON) & (second < np.maximum(0.1 * first, noise)) & (third < noise)
         return x / np.linalg.norm(x, axis=1, keepdims=True), good
 

@@ -1,10 +1,10 @@
 """All assembly modes of a six-rod plate: every pose, real or complex, that its rods allow, each proven.
 
 Forty paths lead from a stored general hexapod to the given one (`homotopy.py`). Each end is polished, proven to be a solution
-and proven to differ from the others. Forty of them are all there can be, so the list is then complete. Where the geometry
-is special, paths end without a pose and fewer are found. Where rods share points the smaller count is known and proven;
-elsewhere each mode is proven but the count is not, and the result says so. The thesis' solver (4.5) returned all 80 = 2 x
-40 in 16 of 50 poses.
+and proven to differ from the others. No more than forty can exist, so a list of forty is complete. If the geometry is
+special, paths end without a pose and fewer are found. If rods share points, the smaller count is known and proven; otherwise
+each mode is proven but the count is not, and the result states this. The thesis' solver (4.5) returned all 80 = 2 x 40 in 16
+of 50 poses.
 
 The proof is a Newton-Kantorovich ball with all rounding errors counted. In the chart where the largest homogeneous coordinate
 is 1, seven quadrics `F` in seven unknowns are left, and with an approximate inverse `Y` of the Jacobian
@@ -12,9 +12,9 @@ is 1, seven quadrics `F` in seven unknowns are left, and with an approximate inv
     |Y F(z)| <= a,   |1 - Y F'(z)| <= b,   |Y (F'(z + u) - F'(z))| <= c |u|   (largest entries),
 
 `z -> z - Y F(z)` maps the ball of radius `r` into itself and contracts it if `a + b r + c r^2 / 2 <= r` and `b + c r < 1`.
-Exactly one solution then lies in it, and it is regular. Balls are complex, so the solution in a real centre's ball is real:
-its conjugate would be a second one. Floating-point sums are bounded by the usual `gamma_n` (Higham 2002, ch. 3), several
-times over. Reference: Rump 2010, Acta Numerica 19, section 13; Breiding, Rose & Timme 2023, ACM TOMS 49(1).
+The ball then contains exactly one solution, and it is regular. Balls are complex, so the solution in a real centre's ball is
+real: its conjugate would be a second one. Floating-point sums are bounded by several times the usual `gamma_n` (Higham 2002,
+ch. 3). Reference: Rump 2010, Acta Numerica 19, section 13; Breiding, Rose & Timme 2023, ACM TOMS 49(1).
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ from tau_dyn.kinematics.assembly.equations import (
 from tau_dyn.kinematics.assembly.homotopy import is_nearly_null, track_homotopy
 
 _GAMMA = 200 * np.finfo(float).eps
-"""Relative rounding error of any sum of ours with fewer than 70 complex products, coefficients included."""
+"""Relative rounding error of any sum here with fewer than 70 complex products, coefficients included."""
 
 
 class Certificate(NamedTuple):
-    """What is proven about points (n, 8).
+    """Proven properties of points (n, 8).
 
     Attributes:
         z: Points with their largest coordinate 1.
-        radius: One solution lies within this distance in each coordinate (n, 8); inf where nothing is proven.
-        relative: The same relative to the larger of `e` and that of `h` (n,).
+        radius: One solution is within this distance in each coordinate (n, 8); inf without a proof.
+        relative: The same relative to the largest entry of `e` and that of `h` (n,).
         pose: The quaternion is not null, so the solution is a pose (n,).
         real: The solution is real (n,).
         complex: The solution is not real (n,).
@@ -94,7 +94,7 @@ def certify(Q: np.ndarray, size: np.ndarray, x: np.ndarray) -> Certificate:
 def select_distinct_balls(z: np.ndarray, radius: np.ndarray) -> np.ndarray:
     """Return which balls (n, 8), (n, 8) hold a solution that no earlier ball holds, as homogeneous points.
 
-    `z_i w_j - z_j w_i` vanishes where `z` and `w` are one point; it is compared with what the balls leave open.
+    `z_i w_j - z_j w_i` vanishes if `z` and `w` are one point; it is compared with its uncertainty from the balls' radii.
     """
     i, j = np.triu_indices(8, 1)
     size = np.abs(z) + radius
@@ -113,7 +113,7 @@ def select_distinct_balls(z: np.ndarray, radius: np.ndarray) -> np.ndarray:
 
 
 def _scales(z: np.ndarray) -> np.ndarray:
-    """Return units (n, 8) for `e` and for `h`: powers of two, so that scaling by them rounds nothing."""
+    """Return units (n, 8) for `e` and for `h`: powers of two, so that scaling by them is exact."""
     largest = [np.abs(part).max(axis=1, keepdims=True) for part in (z[:, :4], z[:, 4:])]
     units = [2.0 ** np.ceil(np.log2(np.maximum(part, 1e-12))) for part in largest]
     return np.repeat(np.concatenate(units, axis=1), 4, axis=1)
@@ -122,7 +122,7 @@ def _scales(z: np.ndarray) -> np.ndarray:
 def _balls(
     Q: np.ndarray, size: np.ndarray, z: np.ndarray, chart: np.ndarray, scale: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the smallest and the largest proven radius (n,) about points in units `scale`; inf and 0 where there is none."""
+    """Return the smallest and the largest proven radius (n,) about points in units `scale`; inf and 0 without a proof."""
     free = np.array([[j for j in range(8) if j != k] for k in range(8)])[chart]  # unknowns of each chart
     units = scale[:, None, :, None] * scale[:, None, None, :]
     Q, size = Q * units, size * units
@@ -157,7 +157,7 @@ def _largest(matrices: np.ndarray) -> np.ndarray:
 
 
 def _inverses(J: np.ndarray) -> np.ndarray:
-    """Return approximate inverses; zero where there is none, which proves nothing."""
+    """Return approximate inverses; zero for singular matrices, with which every proof fails."""
     Y = np.zeros_like(J)
     for k, matrix in enumerate(J):
         try:
@@ -175,14 +175,14 @@ class AssemblyModes:
         position: Origin of the plate's frame (m, 3) [m], complex.
         quaternion: x, y, z, w with `q . q = 1` (m, 4), complex; each pose once, its sign chosen so that w (or the first that is
             not zero of w, x, y, z) has a positive real part.
-        rotation: (m, 3, 3), complex.
+        rotation: Rotation matrices (m, 3, 3), complex.
         real: Proven to be real (m,).
         residual: Largest error of a rod's length at these numbers (m,) [m].
-        radius: A true solution is proven to lie within this relative distance of the homogeneous point `e, h` (m,).
-        n_no_pose: Paths that ended at infinity, at no pose, or too far away to tell.
-        n_singular: Paths that ended in a double solution, on a continuum of poses, or too near one to tell.
+        radius: A true solution is proven to be within this relative distance of the homogeneous point `e, h` (m,).
+        n_no_pose: Paths that ended at infinity, at no pose, or too far away for a decision.
+        n_singular: Paths that ended in a double solution, on a continuum of poses, or too near to either for a decision.
         certified: m is proven to be the number of isolated modes, real ones are proven to be real, and the others not to be.
-        why: Why it is certified, or why not.
+        why: Reason why it is certified, or not.
     """
 
     position: np.ndarray
@@ -198,7 +198,7 @@ class AssemblyModes:
 
     @property
     def n_real(self) -> int:
-        """Number of real modes: the ways in which the robot can be put together."""
+        """Number of real modes: the ways in which the robot can be assembled."""
         return int(self.real.sum())
 
 
@@ -237,9 +237,9 @@ def find_assembly_modes(base_points: np.ndarray, plate_points: np.ndarray, lengt
 
 
 def _search(hexapod: Hexapod, Q: np.ndarray, size: np.ndarray) -> tuple[Certificate, int, int]:
-    """Return proven, distinct poses, how many paths ended without one, and in a singular point.
+    """Return proven, distinct poses, and the numbers of paths that ended without a pose and in a singular point.
 
-    Where some are missing, all paths are followed once more by another route.
+    If some are missing, all paths are followed again by another route.
     """
     start, x = start_system()
     points, n_no_pose, n_singular = np.zeros((0, 8), complex), 0, 0
@@ -263,16 +263,16 @@ def _search(hexapod: Hexapod, Q: np.ndarray, size: np.ndarray) -> tuple[Certific
 
 
 def _proven(Q: np.ndarray, size: np.ndarray, points: np.ndarray) -> Certificate:
-    """Keep what is proven to be a pose and proven to differ from those kept before."""
+    """Keep points that are proven to be poses and proven to differ from those kept before."""
     found = certify(Q, size, points)
     found = found.take(found.pose)
     return found.take(select_distinct_balls(found.z, found.radius))
 
 
 def _poses(A: np.ndarray, B: np.ndarray, L: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return positions, quaternions and rotations, worked out in extended precision where the machine has it.
+    """Return positions, quaternions and rotations, computed in extended precision if the machine supports it.
 
-    A complex pose can be thousands of robot sizes away: its quaternion is nearly null, and its pose loses digits to that.
+    A complex pose can be thousands of robot sizes away: its quaternion is nearly null, so its pose loses digits.
     """
     hexapod, gauge = normalise_hexapod(*(values.astype(np.longdouble) for values in (A, B, L)))
     position, e, rotation = convert_to_poses(_polished(build_quadrics(hexapod), z), gauge)
@@ -297,7 +297,7 @@ def _padded(residual: np.ndarray) -> np.ndarray:
 
 
 def _real_where_proven(values: np.ndarray, real: np.ndarray) -> np.ndarray:
-    """Drop what rounding left of an imaginary part that is proven to be zero."""
+    """Set an imaginary part to zero if it is proven to be zero but for rounding."""
     out = values.copy()
     out[real] = out[real].real
     return out
@@ -326,7 +326,7 @@ def _verdict(found: Certificate, n_no_pose: int, n_singular: int, most: int) -> 
 
 
 def _checked(base: np.ndarray, plate: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return float arrays, or say what is wrong with them."""
+    """Return float arrays; the error names the array and its fault."""
     out = []
     for name, values, shape in (
         ("base points", base, (6, 3)),

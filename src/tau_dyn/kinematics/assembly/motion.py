@@ -1,16 +1,16 @@
-"""On which side of its singularities a parallel robot is, and which assembly modes it can move between.
+"""Sides of the singularities of a parallel robot, and the assembly modes between which it can move.
 
-The rods' closure `gap(q, X) = 0` gives `gap_X V + gap_q v = 0`. Where `det gap_X = 0` the actuators lose hold of the plate
-(parallel singularity); where a chain's block of `gap_q` is singular, the chain is stretched or folded (serial singularity).
-A continuous motion changes a determinant's sign only through zero, so the signs name the state: the one of `gap_X` the
-assembly, those of the blocks of `gap_q` the working mode, the thesis' configuration `c` (4.2). A mode in another state
+The rods' closure `gap(q, X) = 0` gives `gap_X V + gap_q v = 0`. If `det gap_X = 0`, the actuators do not constrain the plate
+(parallel singularity); if a chain's block of `gap_q` is singular, the chain is stretched or folded (serial singularity). A
+continuous motion changes a determinant's sign only through zero, so the signs define the state: the sign of `gap_X` is the
+assembly, the signs of the blocks of `gap_q` are the working mode, the thesis' configuration `c` (4.2). A mode in another state
 cannot be reached without crossing a singularity.
 
-A mode in the same state is reachable if a motion to it is found. The pose is led along a straight line and one turn; the
+A mode in the same state is reachable if a motion to it is found. The pose moves along a straight line with one rotation; the
 actuated positions follow by Newton steps. Between two samples both Jacobians may change by less than half their smallest
-singular value, so no matrix on the line between the two is singular (Weyl); steps are halved until that is so. The search
-grows two trees of poses, from home and from the mode (RRT-Connect, Kuffner & LaValle 2000). If it ends without a motion, the
-answer is unknown. References: Gosselin & Angeles 1990, IEEE Trans. Robotics and Automation 6, 281; Merlet 2006, ch. 6.
+singular value, so no matrix on the line between the two is singular (Weyl); steps are halved until this holds. The search grows
+two trees of poses, from home and from the mode (RRT-Connect, Kuffner & LaValle 2000). If it ends without a motion, the answer is
+unknown. References: Gosselin & Angeles 1990, IEEE Trans. Robotics and Automation 6, 281; Merlet 2006, ch. 6.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class States(NamedTuple):
 
     Attributes:
         assembly: Sign of `det gap_X` (N,); 0 on a parallel singularity.
-        working: Signs of the chains' blocks of `det gap_q` (N, n_chains), as `rods.groups`; 0 on a serial
-            singularity, and where a chain has more rods than actuators.
+        working: Signs of the chains' blocks of `det gap_q` (N, n_chains), as `rods.groups`; 0 on a serial singularity, and if
+            a chain has more rods than actuators.
         distance: Smallest singular value of the dimensionless `gap_X` (N,): 0 on a parallel singularity.
     """
 
@@ -55,7 +55,7 @@ def solve_configuration_states(rods: Rods, q: np.ndarray, plate: Poses) -> State
     """Return the states at positions (N, na) and poses of the plate (N) that fit them.
 
     Raises:
-        InputError: The robot has not as many rods as its plate has freedoms.
+        InputError: The number of rods differs from the plate's degrees of freedom.
     """
     parallel = compute_plate_jacobian(rods, q, plate)
     assembly, distance = _signs(parallel)
@@ -85,7 +85,7 @@ def compute_plate_jacobian(rods: Rods, q: np.ndarray, plate: Poses) -> np.ndarra
 
 
 def _signs(J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the determinants' signs (N,), 0 where rounding leaves none, and the smallest singular values (N,)."""
+    """Return the determinants' signs (N,), 0 if rounding hides them, and the smallest singular values (N,)."""
     if J.shape[1] != J.shape[2]:
         return np.zeros(len(J), dtype=int), np.zeros(len(J))
     values = np.linalg.svd(J, compute_uv=False)
@@ -95,7 +95,7 @@ def _signs(J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 _CLOSED = 1e-10  # [m] largest gap of a sample
 _CHORDS = 12
-"""Newton steps with the Jacobian of the sample before; near as it is, each gains a digit or more."""
+"""Newton steps with the Jacobian of the previous sample; since it is near, each step gains a digit or more."""
 _SHARE = 0.5
 """Change of a Jacobian between samples, as a share of its smallest singular value."""
 _MIN_STEP_RATIO = 1e-4
@@ -109,8 +109,8 @@ class Sample(NamedTuple):
         q: Actuated positions (na,).
         plate: Pose of the plate (1 sample).
         parallel: Closure Jacobian by the plate's twist (n, n), dimensionless.
-        serial: By the actuated positions (n, na).
-        margin: Smallest singular values of the two.
+        serial: Closure Jacobian by the actuated positions (n, na).
+        margin: Smallest singular values of both Jacobians.
     """
 
     q: np.ndarray
@@ -122,11 +122,11 @@ class Sample(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """What a motion has to keep.
+    """Limits of a motion.
 
     Attributes:
-        lower: Of the actuated positions (na,).
-        upper: The same.
+        lower: Lower limits of the actuated positions (na,).
+        upper: Upper limits.
         clearance: Smallest distance between two rods that share no point [m]; 0 to let them cross.
         scale: Length that counts as much as a turn by one radian [m].
         longest: Longest step, in those units.
@@ -150,10 +150,10 @@ def advance(rods: Rods, start: Sample, goal: Poses, limits: Limits, reach: float
 
     Args:
         rods: The robot.
-        start: Where to begin.
+        start: First sample.
         goal: One pose of the plate.
-        limits: What to keep.
-        reach: Give up after this distance, in the units of `limits.scale`.
+        limits: Limits of the motion.
+        reach: Distance after which the motion ends, in the units of `limits.scale`.
     """
     way = float(measure_pose_distances(start.plate, goal, limits.scale)[0])
     if way == 0:
@@ -189,7 +189,7 @@ def measure_rod_distance(rods: Rods, q: np.ndarray, plate: Poses) -> float:
 
 
 def _next(rods: Rods, here: Sample, pose: Poses, limits: Limits) -> Sample | None:
-    """Return the sample at a pose nearby, or None where it breaks a limit or is too far to be sure."""
+    """Return the sample at a pose nearby, or None if it violates a limit or is too far for a proof."""
     q = here.q
     for _ in range(_CHORDS):
         gap = rods.gap(q[None], pose)[0]
@@ -209,7 +209,7 @@ def _next(rods: Rods, here: Sample, pose: Poses, limits: Limits) -> Sample | Non
 
 
 def is_regular_between(a: Sample, b: Sample) -> bool:
-    """Return whether no Jacobian on the line between two samples' is singular."""
+    """Return whether all Jacobians on the line between those of two samples are regular."""
     pairs = zip((a.parallel, a.serial), (b.parallel, b.serial), a.margin, b.margin, strict=True)
     return all(np.linalg.norm(first - second) < _SHARE * min(margins) for first, second, *margins in pairs)
 
@@ -234,9 +234,9 @@ def _segments(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.
 HOME, REACHABLE, SEPARATED, UNKNOWN = "home", "reachable", "behind a singularity", "unknown"
 
 _EQUALITY_TOLERANCE = 1e-6
-"""Positions and poses closer than this are one."""
+"""Positions and poses closer than this count as equal."""
 _EXTENSION = 0.5
-"""How far a tree grows towards a random pose, in lengths of `Limits.scale` and radians."""
+"""Largest growth of a tree towards a random pose, in lengths of `Limits.scale` and radians."""
 
 
 class Reach(NamedTuple):
@@ -245,7 +245,7 @@ class Reach(NamedTuple):
     Attributes:
         verdict: `home`, `reachable`, `behind a singularity` or `unknown`.
         why: A sentence.
-        q: Actuated positions along the motion (M, na); empty where there is none.
+        q: Actuated positions along the motion (M, na); empty without a motion.
         plate: Poses of the plate along it (M).
     """
 
@@ -266,7 +266,7 @@ def find_reachable_modes(
     n_samples: int = 200,
     seed: int = 1,
 ) -> list[Reach]:
-    """Say of each real mode at one set of actuated positions whether the robot can move there from one of them.
+    """Return for each real mode at one set of actuated positions whether the robot can reach it from one of them.
 
     Args:
         rods: A robot with as many actuators and rods as its plate has freedoms.
@@ -276,10 +276,10 @@ def find_reachable_modes(
         limits: Keep the actuators' limits on the way.
         clearance: Smallest distance between rods on the way [m]; 0 lets them cross.
         n_samples: Random poses to try for each mode.
-        seed: Of these.
+        seed: Seed of these poses.
 
     Raises:
-        InputError: The robot has more rods than actuators, or home is none of the modes.
+        InputError: The robot has more rods than actuators, or home is not the index of a mode.
     """
     q = np.asarray(q, float).ravel()
     if rods.na != rods.n:
@@ -307,7 +307,7 @@ def find_reachable_modes(
 
 
 def _by_signs(assembly: np.ndarray, working: np.ndarray) -> str:
-    """Return why two states are apart, or nothing."""
+    """Return why two states are separated by a singularity, or an empty string."""
     if assembly[0] * assembly[1] < 0:
         return "the closure determinant has the other sign, so every motion crosses a parallel singularity"
     if (working[0] * working[1] < 0).any():
@@ -342,7 +342,7 @@ class _Tree:
         self.q, self.plate = root.q[None], root.plate
 
     def grow(self, rods: Rods, target: Poses, limits: Limits, reach: float) -> Sample:
-        """Move from the nearest sample towards a pose and keep the way; return where it ended."""
+        """Move from the nearest sample towards a pose and store the samples; return the last one."""
         parent = int(np.argmin(measure_pose_distances(self.plate, target, limits.scale)))
         motion, _ = advance(rods, self.samples[parent], target, limits, reach)
         for sample in motion:

@@ -1,13 +1,14 @@
 """Assembly modes of a robot at given actuated positions.
 
-Six rods on a free plate, three on a plate that keeps its orientation and serial arms have all their modes in closed form or
-by homotopy. Of any other tree with loops, the loops `c(x_p) = 0` are solved for the passive joints by damped Gauss-Newton steps
+All modes of six rods on a free plate, of three rods on a plate that keeps its orientation and of serial arms are found in closed
+form or by homotopy. For any other tree with loops, the loops `c(x_p) = 0` are solved for the passive joints by damped
+Gauss-Newton steps
 
     (J_p' J_p + mu 1) dx = -J_p' c,   mu proportional to |c|^2  (Yamashita & Fukushima 2001),
 
-from starts drawn within the joints' limits. Two solutions are one mode where the tool's pose, the joints' origins and the
-points in which loops close agree. Starts are drawn until each mode was met ten times: the chance of meeting a new one is
-about the share of those met once (Good 1953). It is no proof that none is left.
+from starts drawn within the joints' limits. Two solutions are one mode if the tool's pose, the joints' origins and the points
+in which loops close agree. Starts are drawn until each mode was found ten times: the probability of a new mode is about the
+share of modes found once (Good 1953). This does not prove that the list is complete.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ _RULES = NewtonRules(60, 60, 0.5, 1e-10, 1e-10)  # nearly all starts that arrive
 _EQUALITY_TOLERANCE = 1e-6  # [m] and of rotation matrices' entries
 _REGULAR = 1e-7  # singular value relative to the largest below which a passive motion leaves the loops closed
 _SLIDE = 2.0  # [m] range of a passive slide without limits
-_UNLIMITED = 1e5  # [m] a limit beyond this is none
+_UNLIMITED = 1e5  # [m] a limit beyond this counts as unlimited
 
 
 class TreeModes(NamedTuple):
@@ -58,7 +59,7 @@ class TreeModes(NamedTuple):
     Attributes:
         tool: Poses of the tool (m).
         n_starts: Starts tried.
-        n_singular: Distinct solutions dropped, in which passive joints move though the actuators stand.
+        n_singular: Distinct solutions dropped, in which passive joints move while the actuators are at rest.
     """
 
     tool: Poses
@@ -72,7 +73,7 @@ def search_tree_modes(engine: TreePose, q: np.ndarray, *, seed: int = 0) -> Tree
     Args:
         engine: The robot, with at least one loop.
         q: Actuated positions (na,) [m or rad].
-        seed: Of the starts.
+        seed: Seed of the starts.
     """
     rng, passive = np.random.default_rng(seed), engine.loops.passive
     rank = _rank(engine, engine.loops.close(engine.robot.home[None]).x)[0]
@@ -106,7 +107,7 @@ def search_tree_modes(engine: TreePose, q: np.ndarray, *, seed: int = 0) -> Tree
 
 
 def _draw_starts(engine: TreePose, rng: np.random.Generator) -> np.ndarray:
-    """Draw passive positions (n_passive, batch): slides within their limits, turns all the way round."""
+    """Draw passive positions (n_passive, batch): slides within their limits, turning joints over a whole turn."""
     model, rows = engine.robot.model, {joint.v: joint for joint in engine.joints}
     out = np.empty((len(engine.loops.passive), _BATCH))
     for row, v in enumerate(engine.loops.passive):
@@ -120,7 +121,7 @@ def _draw_starts(engine: TreePose, rng: np.random.Generator) -> np.ndarray:
 
 
 def _close(engine: TreePose, x: np.ndarray) -> np.ndarray:
-    """Return those columns of positions (nv, N) that Newton's steps brought to closed loops."""
+    """Return the columns of positions (nv, N) for which Newton's method closed the loops."""
     x, passive = x.copy(), engine.loops.passive
 
     def advance(left: np.ndarray) -> tuple[np.ndarray, np.ndarray, Move]:
@@ -149,7 +150,7 @@ def _rank(engine: TreePose, x: np.ndarray) -> np.ndarray:
 
 
 def _signatures(engine: TreePose, at: Frames, tool: Poses) -> np.ndarray:
-    """Return what tells modes apart (N, k): the tool's pose, the joints' origins, the points where loops close."""
+    """Return the numbers that distinguish modes (N, k): the tool's pose, the joints' origins, the points where loops close."""
     n = len(tool.position)
     origins = [np.broadcast_to(at.origin[joint.index], (3, n)).T for joint in engine.joints]
     ends = [np.broadcast_to(point, (3, n)).T for point in engine.loops.closing_points(at)]
@@ -159,9 +160,9 @@ def _signatures(engine: TreePose, at: Frames, tool: Poses) -> np.ndarray:
 _FLAT = 1e-12
 """Squared height over the plane of the centres, as a share of the largest radius', below which the two modes may be one."""
 _COINCIDENT_M = 1e-12
-"""[m] Points nearer than this are one: a robot file's frames are composed with rounding errors of 1e-16."""
+"""[m] Points nearer than this count as equal: a robot file's frames are composed with rounding errors of 1e-16."""
 _HOME = 1e-6
-"""[m], and of rotation matrices' entries: a mode this near to the answer of forward kinematics is home's."""
+"""[m], and of rotation matrices' entries: a mode this near to the result of forward kinematics is home's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +173,7 @@ class RobotModes:
         tool: Poses of the tool (m), nearest to home's mode first.
         home: Whether the first is home's mode, the one that `forward_kinematics` gives.
         proved: m is proved to be the number of real isolated modes.
-        why: Why it is proved, or why not.
+        why: Reason why it is proved, or not.
     """
 
     tool: Poses
@@ -187,10 +188,10 @@ class RobotModes:
 
 
 def list_robot_modes(robot: Robot | Kinematics, q: np.ndarray) -> RobotModes:
-    """Return every assembly mode that is found at actuated positions (na,) [m or rad]; joint limits are not looked at.
+    """Return every assembly mode that is found at actuated positions (na,) [m or rad]; joint limits are ignored.
 
-    Three rods on a translating plate and serial arms in closed form, six rods on a free plate by `find_assembly_modes`,
-    anything else by `search_tree_modes`.
+    Three rods on a translating plate and serial arms are solved in closed form, six rods on a free plate by
+    `find_assembly_modes`, all other robots by `search_tree_modes`.
 
     Raises:
         InputError: `q` does not fit, or the robot has no tool frame.
@@ -229,7 +230,7 @@ def _list_leg_modes(legs: Rods, q: np.ndarray) -> tuple[Poses, bool, str]:
 
 
 def _home_first(kinematics: Kinematics, q: np.ndarray, tool: Poses, proved: bool, why: str) -> RobotModes:
-    """Sort modes by their distance from home's, which counts turns [rad] as metres."""
+    """Sort modes by their distance from home's mode, in which rotations [rad] count as metres."""
     nominal = kinematics.forward(q)
     there = nominal.poses if nominal.ok[0] else kinematics.commanded.home
     away = np.linalg.norm(tool.position - there.position, axis=1)
@@ -251,7 +252,7 @@ def find_robot_assembly_modes(robot: Robot | Kinematics, q: np.ndarray) -> Assem
         InputError: Its number of rods is not six (free plate) or three (plate that translates), or `q` does not fit.
     """
     legs = build_kinematics(robot).legs
-    rods = build_rods(get_robot(robot)) if legs is None else legs  # which says what is missing
+    rods = build_rods(get_robot(robot)) if legs is None else legs  # raises with the missing part
     q = require_positions(rods.robot, q)
     if len(q) != 1 or not np.isfinite(q).all():
         raise InputError(
@@ -271,7 +272,7 @@ def find_robot_assembly_modes(robot: Robot | Kinematics, q: np.ndarray) -> Assem
 
 
 def _merge_points(points: np.ndarray) -> np.ndarray:
-    """Return points (n, 3) [m], those that rounding alone keeps apart as one: shared ends have smaller proven bounds."""
+    """Return points (n, 3) [m]; points that differ only by rounding become equal: shared ends have smaller proven bounds."""
     near = np.abs(points[:, None] - points).max(axis=2) < _COINCIDENT_M
     return points[near.argmax(axis=1)]
 
@@ -285,7 +286,7 @@ def find_translating_modes(
         base: A (3, 3) [m].
         plate: B in the plate's frame (3, 3) [m].
         lengths: L (3,) [m].
-        rotation: The plate's (3, 3).
+        rotation: Rotation of the plate (3, 3).
     """
     centres = base - plate @ rotation.T
     u, w = centres[1] - centres[0], centres[2] - centres[0]

@@ -1,4 +1,4 @@
-"""Are guideways straight and parallel, does the plate keep its orientation: thesis 4.2's assumptions, on measured points."""
+"""Checks of assumptions on measured points (thesis 4.2): straight and parallel guideways, constant orientation of the plate."""
 
 from lazy_loader import attach_stub
 

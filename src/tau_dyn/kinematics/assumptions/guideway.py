@@ -1,14 +1,14 @@
-"""Is a guideway straight: a point on its cart, measured along it, against a line (thesis (4.10) to (4.12), Table 4.1).
+"""Straightness of a guideway: measured positions of a point on its cart against a line (thesis (4.10) to (4.12), Table 4.1).
 
     P(q) = P_0 + q v + e,      e_par = e . v / |v|,      e_perp = e - e_par v / |v|
 
-by least squares, `v` free in length: `|v| - 1` is a scale error of the drive and no crookedness. Along the motion e shows
-the drive (transmission, resolver, backlash), across it the guideway. Measured in any fixed frame. Errors of a guideway are
-smooth, so standard errors are widened by the residual's own correlation from point to point.
+by least squares, `v` free in length: `|v| - 1` is a scale error of the drive, not of straightness. Along the motion e contains
+the errors of the drive (transmission, resolver, backlash), across it those of the guideway. Positions are measured in any fixed
+frame. Errors of a guideway are smooth, so standard errors are widened by the residual's own correlation from point to point.
 
 A periodic error is found by the least-squares periodogram: for each frequency the share `z` of the residual's squares that one
-sine and cosine explain. Points `D` apart cannot tell f from `k / D +- f`: a pinion's teeth, finer than the spacing, show up
-as one long wave.
+sine and cosine explain. Points with spacing `D` cannot distinguish f from `k / D +- f` (aliasing): a pinion's teeth, finer than
+the spacing, appear as one long wave.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ class PeriodicError:
     """The strongest cycle.
 
     Attributes:
-        period: Length of one cycle as the points show it [m].
-        amplitude: Half of its swing [m].
-        p_value: Chance of one as strong in white scatter, all frequencies tried counted.
-        aliases: Shorter periods [m] that evenly spaced points cannot tell from it, longest first; empty for uneven ones.
+        period: Apparent length of one cycle at these points [m].
+        amplitude: Half of its peak-to-peak value [m].
+        p_value: Probability of an equally strong cycle in white noise, with all tested frequencies counted.
+        aliases: Shorter periods [m] that evenly spaced points cannot distinguish from it, longest first; empty for uneven ones.
     """
 
     period: float
@@ -79,17 +79,17 @@ def _aliases(f: float, spacing: float, most: int = 4) -> tuple[float, ...]:
 
 
 MIN_POINTS = 8
-"""Points below which a line with shape and scatter cannot be told apart."""
+"""Points below which the shape of a line cannot be separated from scatter."""
 SHAPE_DEGREE = 4
 """Polynomials up to this degree describe a guideway's slow shape."""
 SIGNIFICANCE_LEVEL = 0.01
-"""p-value below which a shape, a cycle or a backlash counts as seen."""
+"""p-value below which a shape, a cycle or a backlash counts as significant."""
 _MIXED = 3
 """Points in each direction of travel from which backlash is estimated."""
 
 
 class SizeEstimate(NamedTuple):
-    """A size with its standard error [m] and the p-value of there being none."""
+    """A size with its standard error [m] and the p-value of the hypothesis that it is zero."""
 
     size: float
     stderr: float
@@ -97,7 +97,7 @@ class SizeEstimate(NamedTuple):
 
     @property
     def sure(self) -> bool:
-        """Whether it is more than chance."""
+        """Whether it is significant."""
         return self.p_value < SIGNIFICANCE_LEVEL
 
 
@@ -108,16 +108,16 @@ class Guideway:
     Attributes:
         joint: The actuated joint.
         q: Actuated positions (N,) [m].
-        origin: `P_0` (3,) [m], where the line is at q = 0.
+        origin: `P_0` (3,) [m], the point of the line at q = 0.
         slope: `v` (3,), metres of travel per metre of q.
-        covariance: Of `slope` (3, 3).
+        covariance: Covariance of `slope` (3, 3).
         along: `e_par` (N,) [m].
         across: `e_perp` (N, 3) [m].
-        bow: Rise of the middle over the ends [m], across the guideway.
-        shape: p-value of the guideway having no slow shape across.
+        bow: Offset of the middle from the ends [m], across the guideway.
+        shape: p-value of the hypothesis that the guideway has no slow shape across.
         cycle: The strongest cycle along the motion; None with too few points.
-        backlash: What changes with the direction of travel [m]; None where all points were approached from one side.
-        points: Where the cart was measured (N, 3) [m].
+        backlash: Difference between the directions of travel [m]; None if all points were approached from one side.
+        points: Measured positions of the cart (N, 3) [m].
     """
 
     joint: str
@@ -155,7 +155,7 @@ class Guideway:
         return float(np.linalg.norm(self.slope)) - 1.0, float(np.sqrt(d @ self.covariance @ d))
 
     def bounds(self, share: float = 0.95) -> tuple[float, float]:
-        """Return what this share of the measured points stays below, along and across [m]."""
+        """Return the quantile of the errors along and across [m] for this share of the measured points."""
         across = np.linalg.norm(self.across, axis=1)
         return float(np.quantile(np.abs(self.along), share)), float(np.quantile(across, share))
 
@@ -180,7 +180,7 @@ class Guideway:
         return f"{self.joint}: {'; '.join(found)}."
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what a result file holds of it."""
+        """Return its content in a result file."""
         along, across = self.bounds()
         scale, scale_stderr = self.scale
         return {
@@ -222,7 +222,7 @@ def fit_guideway(joint: str, q: np.ndarray, points: np.ndarray) -> Guideway:
 
 
 def load_shift(line: Guideway, q: np.ndarray, points: np.ndarray) -> dict[str, Any]:
-    """Return how far another load moved the cart off the line found before (the squares of Figure 4.5).
+    """Return how far another load moved the cart from the fitted line (the squares of Figure 4.5).
 
     Args:
         line: The guideway, fitted with the end-effector at one place.
@@ -269,7 +269,7 @@ def _check(joint: str, q: np.ndarray, points: np.ndarray) -> None:
 
 
 def _correlation(e: np.ndarray) -> float:
-    """Return by how much neighbours alike widen a variance: `(1 + rho) / (1 - rho)`."""
+    """Return the factor by which correlation of neighbours widens a variance: `(1 + rho) / (1 - rho)`."""
     spread = float(np.sum(e**2))
     rho = float(np.sum(e[1:] * e[:-1])) / spread if spread > 0 else 0.0
     rho = min(max(rho, 0.0), 0.95)

@@ -1,13 +1,14 @@
-"""Are guideways parallel, and does the plate keep its orientation (thesis 4.2).
+"""Parallelism of guideways, and constancy of the plate's orientation (thesis 4.2).
 
-Lines must be measured in one frame. With unit directions d_i, the small angle's vector is `d_i x d_j`; its part along the
+Lines must be measured in one frame. With unit directions d_i, the small angle's vector is `d_i x d_j`; its component along the
 lines is no angle, so two numbers are tested (chi-squared).
 
-Moved along the guideways all actuators together, the rods do not turn, so wrong rod lengths or joint places leave the orientation
-alone: it changes from one place across the guideways to another. Carts that turn do the opposite (Figure 4.7). The rotation
-vector against the mean orientation is split by least squares into a part for each place across (`q` less its mean), one for each
-layer along (the measured position along the direction in which poses of one place follow the mean of `q`), and a rest, each
-part tested with the other one in the model (two-way analysis of variance).
+If all actuators move together along the guideways, the rods do not turn. So the effect of wrong rod lengths or joint
+positions on the orientation is constant along the guideways, but differs between places across them. Carts that turn have the
+opposite effect (Figure 4.7). The rotation vector against the mean orientation is split by least squares into a part for each
+place across (`q` minus its mean), a part for each layer along (the measured position along the direction in which poses of
+one place follow the mean of `q`), and a residual. Each part is tested with the other one in the model (two-way analysis of
+variance).
 """
 
 from __future__ import annotations
@@ -29,14 +30,14 @@ from tau_dyn.mechanism import Poses
 
 @dataclass(frozen=True)
 class Parallelism:
-    """Two guideways against each other.
+    """Comparison of two guideways.
 
     Attributes:
         joints: Their actuated joints.
-        angle: Between them [rad].
-        stderr: Standard error [rad].
-        p_value: Of their being parallel.
-        apart: What the angle makes over the longer of the two travels [m].
+        angle: Angle between them [rad].
+        stderr: Standard error of the angle [rad].
+        p_value: p-value of the hypothesis that they are parallel.
+        apart: Distance that the angle causes over the longer of the two travels [m].
     """
 
     joints: tuple[str, str]
@@ -47,7 +48,7 @@ class Parallelism:
 
     @property
     def sure(self) -> bool:
-        """Whether they are not parallel, beyond chance."""
+        """Whether the angle is significant."""
         return self.p_value < SIGNIFICANCE_LEVEL
 
     @property
@@ -59,12 +60,12 @@ class Parallelism:
         return f"{self.joints[0]} and {self.joints[1]} are not parallel: {size}, {1e6 * self.apart:.0f} um over the travel."
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what a result file holds of it."""
+        """Return its content in a result file."""
         return asdict(self) | {"sentence": self.sentence}
 
 
 def check_parallelism(lines: Sequence[Guideway]) -> list[Parallelism]:
-    """Return each pair of guideways against each other, all measured in one frame."""
+    """Return the comparison of each pair of guideways, all measured in one frame."""
     return [_pair(one, other) for one, other in combinations(lines, 2)]
 
 
@@ -92,11 +93,11 @@ def _cross(line: Guideway, plane: np.ndarray) -> np.ndarray:
 
 MIN_ORIENTATION_POSES = 6  # poses; three angles have a mean and a scatter each
 POLE_DISTANCE_RAD = np.radians(2.0)
-"""Second Euler angle this close to 0 or 180 degrees leaves the first and third free to trade."""
+"""Distance of the second Euler angle from 0 or 180 degrees within which the first and third are not separately determined."""
 
 
 class Part(NamedTuple):
-    """One cause's part: rms size [rad], share of the variance, p-value of its being nothing."""
+    """One cause's part: rms size [rad], share of the variance, p-value of the hypothesis that it is zero."""
 
     rms: float
     share: float
@@ -112,10 +113,10 @@ class Orientation:
         euler: ZYZ Euler angles, continuous over the poses (N, 3) [rad].
         place: Number of each pose's place across the guideways (N,).
         layer: Number of each pose's place along them (N,).
-        across: What changes from place to place: rods and their joints; None where no place was visited twice.
-        along: What changes along the guideways: carts that turn; None likewise.
-        rest: rms of what neither explains [rad].
-        why_not: Why there is no split, '' where there is.
+        across: Part that changes from place to place: rods and their joints; None if no place was visited twice.
+        along: Part that changes along the guideways: carts that turn; None if no place was visited twice.
+        rest: rms of the residual of both parts [rad].
+        why_not: Reason why there is no split, '' if there is one.
     """
 
     turn: np.ndarray
@@ -134,7 +135,7 @@ class Orientation:
 
     @property
     def near_pole(self) -> bool:
-        """Whether the first and third Euler angle mean little."""
+        """Whether the first and third Euler angle are poorly determined."""
         return bool(np.min(np.abs(np.sin(self.euler[:, 1]))) < np.sin(POLE_DISTANCE_RAD))
 
     @property
@@ -155,7 +156,7 @@ class Orientation:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what a result file holds of it."""
+        """Return its content in a result file."""
         euler = np.degrees(self.euler)
         return {
             "n_poses": len(self.turn), "sentence": self.sentence,
@@ -171,7 +172,7 @@ def check_orientation(q: np.ndarray, poses: Poses, *, tolerance: float = 2e-3) -
 
     Args:
         q: Positions of the actuators that run parallel to each other (N, na) [m].
-        poses: Measured (N), positions too, in any fixed frame.
+        poses: Measured poses (N), positions included, in any fixed frame.
         tolerance: Actuated positions closer than this [m] are one place.
 
     Raises:

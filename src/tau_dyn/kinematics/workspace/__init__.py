@@ -1,4 +1,4 @@
-"""Where a robot's tool can be, why not elsewhere, and how well it works there."""
+"""Workspace of a robot: reachable poses of the tool, the reasons for its limits, and the dexterity within it."""
 
 from lazy_loader import attach_stub
 

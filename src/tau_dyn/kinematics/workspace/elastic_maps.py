@@ -1,20 +1,20 @@
-"""How a robot's springs yield over its workspace: stiffness at the tool, sag under weight and load, resonances.
+"""Elastic maps over a robot's workspace: stiffness at the tool, sag under weight and load, resonances.
 
-At every pose the springs that the robot file or the user states are linearised about rest under gravity with the drives held
-where they are measured (`FlexibleModel`). With the springs' stiffness K (the weight's share included), mass M, the tool's
-Jacobian J and the weight's pull h,
+At every pose the springs of the robot file or of the user are linearised about rest under gravity with the drives held at their
+measured positions (`FlexibleModel`). With the springs' stiffness K (the weight's contribution included), mass M, the tool's
+Jacobian J and the weight's force h,
 
     C = J K^-1 J',     k_softest = 1 / (largest eigenvalue of C),     k_x = 1 / C_xx,     f = sqrt(eig(M^-1 K)) / 2 pi.
 
-C is the tool's displacement per force at its origin, the tool free to turn. The sag is how far the weight moves the tool from
-where it is without any deflection; that under a load is `C` times the load, downwards at the tool's origin.
+C is the tool's displacement per force at its origin, the tool free to turn. The sag is the displacement of the tool by the
+weight, relative to the undeflected robot; the sag under a load is `C` times the load, downwards at the tool's origin.
 
 Standard errors follow from those of the springs' stiffness, taken as independent, to first order at fixed rest:
 `dC/dk_i = -c_i c_i'` with `c_i` column i of `J K^-1`, `df/dk_i = phi_i^2 / (8 pi^2 f)` with `phi' M phi = 1`, and
 `ds/dk_i = -K^-1 e_i s_i` (Ewins 2000, ch. 5; Magnus & Neudecker 1999).
 
-A stiffness that nobody states is unknown, and then so is everything that follows from it. Where the rods or the structure are
-stated and no drive is, the drives count as held, and values are bounds: a spring more makes a robot softer.
+If a stiffness is not given, it is unknown, and so are all values that depend on it. If the rods or the structure have a
+stiffness and no drive has one, the drives count as held, and values are bounds: an additional spring makes a robot softer.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ ELASTIC: dict[str, tuple[str, ...]] = {
     "sag": ("sag", "sag_load"),
     "resonance": ("resonance", "resonance_2"),
 }
-"""Maps that follow from the springs, by the word that asks for them."""
+"""Maps that depend on the springs, by the word that requests them."""
 ELASTIC_MAPS = tuple(name for names in ELASTIC.values() for name in names)
 STDERR = "_stderr"
 """Ending of the name of a map's standard error."""
@@ -47,12 +47,12 @@ _RIGID_SHARE = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Elasticity:
-    """The springs of a robot and where their numbers come from.
+    """The springs of a robot and the source of their values.
 
     Attributes:
-        model: The robot with its springs, or None where the stiffness is unknown.
-        origin: A sentence part on where the numbers come from, or why the stiffness is unknown.
-        not_stated: Springs whose stiffness nobody states: rods and joints by name.
+        model: The robot with its springs, or None if the stiffness is unknown.
+        origin: Clause that names the source of the values, or the reason why the stiffness is unknown.
+        not_stated: Springs without a given stiffness: rods and joints by name.
         load: Weight of a load at the tool [N], or None.
         tool: Name of the tool frame.
     """
@@ -65,23 +65,23 @@ class Elasticity:
 
     @property
     def known(self) -> bool:
-        """Whether values follow from what is stated."""
+        """Whether the given stiffness determines the maps."""
         return self.model is not None
 
     @property
     def stiffness_stderr(self) -> np.ndarray | None:
-        """Standard errors of the springs (ns,), zero for those without; None where no spring has one."""
+        """Standard errors of the springs (ns,), zero for springs without one; None if no spring has one."""
         springs = self.model.springs if self.model is not None else ()
         if all(s.stiffness_stderr is None for s in springs):
             return None
         return np.array([s.stiffness_stderr or 0.0 for s in springs])
 
     def list_maps(self) -> list[str]:
-        """Return the names of the maps: all but that of a load where there is none."""
+        """Return the names of the maps: all; without a load all except that of the load."""
         return [name for name in ELASTIC_MAPS if name != _OF_LOAD or self.load is not None]
 
     def warnings(self) -> list[str]:
-        """Return sentences about what is not stated."""
+        """Return sentences about springs without a given stiffness."""
         named = ", ".join(self.not_stated)
         if not self.known:
             return [
@@ -99,9 +99,9 @@ class Elasticity:
         ]
 
     def compute_maps(self, q: np.ndarray) -> dict[str, np.ndarray]:
-        """Return all maps, and their standard errors where springs have some, at positions (N, na); each (N,) in SI.
+        """Return all maps, and their standard errors if springs have some, at positions (N, na); each (N,) in SI.
 
-        A pose at which the springs do not carry the weight has nan; so has every pose where the stiffness is unknown.
+        Values are nan at a pose at which the springs do not carry the weight, and at every pose if the stiffness is unknown.
         """
         names = self.list_maps()
         if self.stiffness_stderr is not None:
@@ -115,7 +115,7 @@ class Elasticity:
         return out
 
     def linearise(self, q: np.ndarray) -> Linearised | None:
-        """Return the robot about rest at one pose (na,); None where there is none or the stiffness is unknown."""
+        """Return the robot about rest at one pose (na,); None if no rest exists or the stiffness is unknown."""
         if self.model is None or not np.isfinite(q).all():
             return None
         try:
@@ -139,7 +139,7 @@ def compute_elastic_values(
     Args:
         near: The robot about rest.
         load: Force at the tool (3,) [N], or None.
-        stiffness_stderr: Of the springs (ns,), or None.
+        stiffness_stderr: Standard errors of the springs (ns,), or None.
     """
     a = near.na
     c = np.linalg.solve(near.K[a:, a:], near.tool[:, a:].T).T  # (3, ns)
@@ -182,7 +182,7 @@ def build_elasticity(
     actuators: Mapping[str, float] | None = None,
     load: float | None = None,
 ) -> Elasticity:
-    """Return a robot's springs: those of its file and those that are stated in their place.
+    """Return a robot's springs: those of its file, or the given ones that replace them.
 
     Args:
         machine: The robot.
@@ -192,7 +192,7 @@ def build_elasticity(
 
     Raises:
         UnknownName: A joint that is not actuated.
-        InputError: A stiffness that is not above zero, a rod's where there are no rods, or a load below zero.
+        InputError: A stiffness is not above zero, a rod's is given for a robot without rods, or a load is below zero.
     """
     robot, drives = machine.robot, _list_drives(machine.robot, actuators or {})
     if rod is not None and not rod > 0:
@@ -216,7 +216,7 @@ def build_elasticity(
 
 
 def _list_drives(robot: Robot, given: Mapping[str, float]) -> dict[str, float]:
-    """Return the stated stiffness by actuated joint; what names a joint counts before what names all.
+    """Return the given stiffness by actuated joint; a value for a joint has priority over a value for all.
 
     Raises:
         UnknownName: A joint that is not actuated.
@@ -237,7 +237,7 @@ def _list_drives(robot: Robot, given: Mapping[str, float]) -> dict[str, float]:
 def _find_not_stated(
     machine: WorkspaceModel, rod: float | None, drives: Mapping[str, float]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the springs without which nothing is known, and the drives that count as held."""
+    """Return the springs whose missing stiffness makes the maps unknown, and the drives that count as held."""
     robot, rods = machine.robot, machine.rods
     in_file = {s.joint for s in robot.springs}
     stretched = [] if rods is None else [name for name in rods.names if name_rod_spring(name) not in in_file]
@@ -245,7 +245,7 @@ def _find_not_stated(
     stated = {*drives, *(s.joint for s in robot.drive_springs)}
     others = tuple(joint for joint in robot.actuated if joint not in stated)
     yields = bool(in_file) or (rod is not None and bool(np.isfinite(rod)))
-    if stated or not yields:  # some drives, or nothing at all
+    if stated or not yields:  # some drives, or no spring at all
         missing = [*missing, *others]
     return tuple(missing), () if missing else others
 
@@ -259,7 +259,7 @@ def _advise(machine: WorkspaceModel) -> str:
 
 
 def _describe(model: FlexibleModel, rod: float | None, drives: Mapping[str, float]) -> str:
-    """Return where the numbers come from."""
+    """Return the source of the values."""
     as_given = [*(["rods"] if rod is not None else []), *(["drives"] if drives else [])]
     in_file = [
         s.joint

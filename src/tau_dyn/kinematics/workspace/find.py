@@ -1,4 +1,4 @@
-"""Find a robot's workspace: a lattice over its reach, judged coarsely, refined along the border, connected to home."""
+"""Find a robot's workspace: classify a coarse lattice over its reach, refine the border, keep the part connected to home."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from tau_dyn.mechanism import Poses, require_poses
 from tau_dyn.robot import Robot
 
 _CELLS = 60
-"""Cells along the workspace's longest side, where no resolution is given."""
+"""Default number of cells along the workspace's longest side."""
 _FIRST = 24
-"""Cells along the longest side of the box in the first look that tells how large the workspace is."""
+"""Cells along the longest side of the box in the first pass, which estimates the size of the workspace."""
 _GROWTH = 4
-"""How often a box that the workspace touches is made larger."""
+"""Largest number of enlargements of a box that the workspace touches."""
 
 
 def find_workspace(
@@ -45,18 +45,18 @@ def find_workspace(
     seed: int = 0,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Workspace:
-    """Find where a robot's tool can be at one orientation.
+    """Find the workspace of a robot's tool at one orientation.
 
     Args:
-        robot: The robot, or its machine where it is already there.
-        demands: What a pose must satisfy.
+        robot: The robot, or its workspace model if that exists.
+        demands: Requirements for a pose.
         resolution: Distance of neighbouring points [m]; by default about a 60th of the workspace's longest side.
-        rotation: Of the tool (3, 3); by default home's.
-        seed: Of the random points that look for what the coarse lattice missed.
-        progress: Told what is being done.
+        rotation: Rotation of the tool (3, 3); by default home's.
+        seed: Seed of the random points that search for parts missed by the coarse lattice.
+        progress: Called with the current step.
 
     Raises:
-        InputError: Limits are missing or inverted, the resolution is too fine or too coarse, or home itself does not belong.
+        InputError: Limits are missing or inverted, the resolution is too fine or too coarse, or home is not in the workspace.
         CannotAnswer: The tool moves in a plane or on a line that is not parallel to the axes.
     """
     machine = robot if isinstance(robot, WorkspaceModel) else build_machine(robot)
@@ -74,7 +74,7 @@ def find_workspace(
 
 
 class _Recorder:
-    """Judges places at one orientation and keeps the positions found."""
+    """Classifies places at one orientation and stores the positions found."""
 
     def __init__(self, judge: PoseChecker, turn: np.ndarray) -> None:
         self.judge, self.turn = judge, turn
@@ -91,14 +91,14 @@ class _Recorder:
 def _explored(
     machine: WorkspaceModel, judge: PoseChecker, turn: np.ndarray, resolution: float | None, seed: int
 ) -> tuple[ClassifiedLattice, _Recorder]:
-    """Explore the box, made larger where the workspace touches a side that is only an estimate."""
+    """Explore the box; enlarge it if the workspace touches a side that is only an estimate."""
     lower, upper = _box(machine, judge.demands)
     step = _resolution(resolution, lower, upper)
     if step is None:
         step = _suitable(machine, judge, turn, lower, upper)
     for _ in range(_GROWTH):
         recorder = _Recorder(judge, turn)
-        # half a step beside home, so that limits at round places around home lie between points
+        # half a step off home, so that limits at round distances from home are between points
         beside = machine.home_place + np.where(upper > lower, step / 2, 0.0)
         found = classify_lattice(build_lattice(lower, upper, beside, step), recorder, seed=seed)
         below, above = _touched(found.inside)
@@ -119,10 +119,10 @@ def _touched(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def leave_singular_home(machine: WorkspaceModel, demands: PoseRequirements | None = None) -> WorkspaceModel:
-    """Return an arm whose home is singular with a home that is bent out of it; any other mechanism as it is.
+    """Return an arm whose home is singular with a regular home; return any other mechanism unchanged.
 
-    Stock arms give no home, and the middle of their limits is often the stretched arm. Quarter turns of the fewest joints
-    are taken that leave a well-conditioned Jacobian.
+    Robot files of arms often have no home, and the middle of their limits is often the stretched arm. The new home has quarter
+    turns of the fewest joints that give a well-conditioned Jacobian.
     """
     robot = machine.robot
     judge = PoseChecker(machine, demands if demands is not None else PoseRequirements())
@@ -145,8 +145,8 @@ def leave_singular_home(machine: WorkspaceModel, demands: PoseRequirements | Non
     return build_machine(replace(robot, home=q[few[np.argmin(condition[few])]]))
 
 
-_MAX_BENT = 8  # joints; 3^8 postures are looked at in a tenth of a second
-_GOOD_CONDITION = 30.0  # of a Jacobian with lengths in the robot's own; below it the tool turns and moves to all sides
+_MAX_BENT = 8  # joints; 3^8 postures are evaluated in a tenth of a second
+_GOOD_CONDITION = 30.0  # of a Jacobian with lengths in the robot's own; below it the tool moves and turns everywhere
 
 
 def _check_home(machine: WorkspaceModel, judge: PoseChecker, turn: np.ndarray) -> None:
@@ -164,7 +164,7 @@ def _check_home(machine: WorkspaceModel, judge: PoseChecker, turn: np.ndarray) -
 
 
 def _box(machine: WorkspaceModel, demands: PoseRequirements) -> tuple[np.ndarray, np.ndarray]:
-    """Return the box to look in, cut by the tool's limits; an axis in which the tool does not move has no width."""
+    """Return the box to search, cut by the tool's limits; an axis in which the tool does not move has no width."""
     lower, upper = machine.reach()
     home, around = machine.home_place, demands.surroundings
     J = machine.rates(machine.robot.home[None], machine.home)
@@ -253,10 +253,10 @@ def _result(
 
 
 def _start(lattice: Lattice, inside: np.ndarray, home: np.ndarray) -> tuple[int, ...]:
-    """Return the index of a point around home that belongs.
+    """Return the index of a point around home in the workspace.
 
     Raises:
-        InputError: None does: the resolution is too coarse.
+        InputError: No such point exists: the resolution is too coarse.
     """
     index = np.argwhere(inside)
     away = np.abs(lattice.points(index) - home).max(axis=1, initial=0.0)

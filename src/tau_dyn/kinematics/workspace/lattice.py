@@ -1,12 +1,12 @@
 """A lattice of points in a box, refined along the border of a set, and the set's size.
 
-Classification starts on a coarse lattice. A cell whose corners do not agree, in or out, is divided; one whose corners agree
-is filled without asking. Where a point found later contradicts a filled cell, that cell is divided too, so a border is
-followed once it is touched. Points drawn at random from what was filled are asked at the end: they find what lies wholly
-within a coarse cell, and bound the share that may still be missed (none wrong in n: below 3 / n with 95 %).
+Classification starts on a coarse lattice. A cell with corners inside and outside the set is divided; a cell with equal
+corners is filled without evaluation. If a point evaluated later contradicts a filled cell, that cell is divided too, so a
+border is followed once it is found. At the end random filled points are evaluated: they find parts of the set and holes that
+are entirely within a coarse cell, and bound the share that may still be missed (no error in n points: below 3 / n with 95 %).
 
-A cell with all corners inside is counted in, one with none is counted out; the others lie between, half their volume is the
-bound, which shrinks as h; the share of filled points that may be wrong widens it:
+Cells with all corners inside count as inside, cells with all corners outside as outside. The others are undecided: half of their
+volume is the bound, which shrinks with h. The share of filled points that may be wrong widens it:
 
     low = h^d #{all corners in},   high = h^d #{any corner in},   V = h^d sum over cells of the share of corners in.
 """
@@ -24,11 +24,11 @@ from scipy import ndimage
 from tau_dyn.exceptions import InputError
 
 INSIDE = 0
-"""Code of a point that belongs; every other code is a reason why it does not."""
+"""Code of a point in the set; every other code is a reason why a point is outside."""
 MAX_LATTICE_POINTS = 60_000_000
-"""Points of a lattice that memory holds without trouble."""
+"""Largest number of points of a lattice, within the memory of usual computers."""
 MAX_REDRAWS = 6
-"""How often random points are drawn again after some contradicted."""
+"""Largest number of repeated random tests after contradictions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ def build_lattice(lower: np.ndarray, upper: np.ndarray, through: np.ndarray, ste
 
     Args:
         lower: Corner of the box (3,) [m].
-        upper: Opposite corner; an axis where both agree is flat.
+        upper: Opposite corner; an axis with equal coordinates is flat.
         through: A place in the box (3,) [m].
         step: Finest distance of neighbours [m].
         stride: Coarsest distance in steps, a power of two.
@@ -103,7 +103,7 @@ class ClassifiedLattice:
         lattice: The points.
         code: Code of every point (lattice shape); INSIDE or a reason.
         asked: Whether the point was classified itself, not filled from its cell (lattice shape).
-        missed_share: With 95 % no more than this share of the filled points is wrong.
+        missed_share: Upper 95 % bound of the share of filled points that are wrong.
     """
 
     lattice: Lattice
@@ -125,9 +125,9 @@ def classify_lattice(lattice: Lattice, classify: Classify, *, probes: int = 1500
 
     Args:
         lattice: The points.
-        classify: From points (N, 3) [m] to codes (N,), INSIDE or a reason.
-        probes: Random points asked at the end.
-        seed: Of these.
+        classify: Function from points (N, 3) [m] to codes (N,), INSIDE or a reason.
+        probes: Number of random points evaluated at the end.
+        seed: Seed of these points.
     """
     code = np.full(lattice.shape, INSIDE, np.uint16)
     asked = np.zeros(lattice.shape, bool)
@@ -149,7 +149,7 @@ def classify_lattice(lattice: Lattice, classify: Classify, *, probes: int = 1500
 
 
 def combine_cells(corners: np.ndarray, reduce: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
-    """Return one value a cell from the values at its corners, such as `np.minimum` or `np.add` of them."""
+    """Return one value per cell from the values at its corners, such as their `np.minimum` or `np.add`."""
     for axis, n in enumerate(corners.shape):
         if n > 1:
             low = np.take(corners, range(n - 1), axis)
@@ -175,7 +175,7 @@ def _offsets(shape: tuple[int, ...], width: int) -> Iterator[tuple[slice, ...]]:
 
 
 def _divide(code: np.ndarray, asked: np.ndarray, ask: Callable[[np.ndarray, int], None], stride: int) -> None:
-    """Go from one stride to half of it: ask within mixed cells and those that a new point contradicts, fill the others."""
+    """Halve the stride: evaluate points within mixed cells and cells that a new point contradicts, fill the others."""
     half = stride // 2
     fine_code, fine_asked = _every(code, half), _every(asked, half)
     corner = _every(code, stride)
@@ -201,7 +201,7 @@ def _divide(code: np.ndarray, asked: np.ndarray, ask: Callable[[np.ndarray, int]
 def _probe(
     code: np.ndarray, asked: np.ndarray, ask: Callable[[np.ndarray, int], None], probes: int, rng: np.random.Generator
 ) -> float:
-    """Ask filled points at random, mend around those that were wrong, and return the share that may still be."""
+    """Evaluate random filled points, repair around wrong ones, and return the share that may still be wrong."""
     _mend(code, asked, ask)
     share = 0.0
     for _ in range(MAX_REDRAWS):
@@ -222,7 +222,7 @@ def _probe(
 
 
 def _mend(code: np.ndarray, asked: np.ndarray, ask: Callable[[np.ndarray, int], None]) -> None:
-    """Ask every point of a cell whose corners differ, until no new border appears."""
+    """Evaluate every point of a cell whose corners differ, until no new border appears."""
     while True:
         mixed = _mixed(code == INSIDE)
         wanted = np.zeros(code.shape, bool)
@@ -235,7 +235,7 @@ def _mend(code: np.ndarray, asked: np.ndarray, ask: Callable[[np.ndarray, int], 
 
 
 class Size(NamedTuple):
-    """A volume [m^3], or an area or a length where the set is flat; it lies between `low` and `high`."""
+    """A volume [m^3], or an area or a length if the set is flat, with the bounds `low` and `high`."""
 
     value: float
     low: float
@@ -261,20 +261,20 @@ def measure_size(inside: np.ndarray, step: float, missed: float = 0.0) -> Size:
 
 
 def bound_missed_size(found: ClassifiedLattice) -> float:
-    """Return the size [m^d] that filled points may have wrong, with 95 %: all of them drawn from the same filled region."""
+    """Return the upper 95 % bound of the size [m^d] of wrong filled points, all drawn from the same filled region."""
     filled = float((~found.asked).sum()) * found.lattice.step**found.lattice.dimension
     return found.missed_share * filled
 
 
 def find_connected(inside: np.ndarray, home: tuple[int, ...]) -> np.ndarray:
-    """Return which points are reached from `home` by steps along the axes through points that belong."""
+    """Return which points are reached from `home` by steps along the axes through points of the set."""
     labels = np.zeros(inside.shape, np.int32)
     ndimage.label(inside, output=labels)
     return (labels == labels[home]) & inside
 
 
 def erode_by_margin(inside: np.ndarray, step: float, margin: float) -> np.ndarray:
-    """Return which points keep a distance [m] from every point that does not belong; the lattice's edge is none."""
+    """Return which points keep a distance [m] from every point outside the set; the lattice's edge does not count as outside."""
     far = ndimage.distance_transform_edt(inside, sampling=step)
     return np.asarray(far) >= margin
 

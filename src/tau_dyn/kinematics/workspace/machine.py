@@ -1,7 +1,7 @@
-"""A mechanism as its workspace needs it: which places there are, inverse kinematics in home's configuration, rates, solids.
+"""Interface of a mechanism for its workspace: places, inverse kinematics in home's configuration, rates, solids.
 
-A place is what the workspace's lattice counts: the tool's position, at one orientation; or, of a mechanism whose tool cannot
-be brought to every position nearby (a 3-PRS), its commanded coordinates, turns multiplied by a characteristic length.
+A place is a point of the workspace's lattice: the tool's position, at one orientation. If the tool cannot reach every position
+nearby (a 3-PRS), places are its commanded coordinates, with turns multiplied by a characteristic length.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from tau_dyn.robot import Robot
 
 _SAMPLES = 4000
 """Random positions from which a robot's reach is estimated."""
-_TURNED = 1e-6  # [rad] a tool turned by more than this is not in the orientation asked for
-_MAX_WAVES = 300  # in which inverse kinematics spreads from what is known
-_ABOUT, _PROBES = 0.25, 20  # share of the travel about home, and positions, at which the tool's twist is looked at
+_TURNED = 1e-6  # [rad] a tool turned by more than this misses the requested orientation
+_MAX_WAVES = 300  # in which inverse kinematics spreads from solved poses
+_ABOUT, _PROBES = 0.25, 20  # share of the travel about home, and positions, at which the tool's twist is evaluated
 _STILL = 1e-9  # [m/s or rad/s per actuated speed] a tool slower than this does not move
 _MAX_STEPS = 30  # of Newton's method to commanded coordinates; from a neighbour five do
 _SHRINKS = 0.5  # of the deviation that each of them may leave; from a neighbour it leaves far less
@@ -34,11 +34,11 @@ class InverseSolution(NamedTuple):
     """Inverse kinematics of N poses.
 
     Attributes:
-        q: Positions (N, na), nan where there are none.
-        ok: Where there are some (N,).
-        reason: Why there are none (N,).
-        poses: Of the tool as reached: turned otherwise than asked where the robot has too few freedoms to choose.
-        turned: Largest angle by which it is [rad].
+        q: Positions (N, na), nan without a solution.
+        ok: Whether a solution exists (N,).
+        reason: Reason why there is no solution (N,).
+        poses: Poses reached by the tool; its orientation differs from the requested one if the robot has too few freedoms.
+        turned: Largest angle between requested and reached orientation [rad].
     """
 
     q: np.ndarray
@@ -49,7 +49,7 @@ class InverseSolution(NamedTuple):
 
 
 def get_travel(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
-    """Return finite limits (na,), a whole turn for a joint that has none.
+    """Return finite limits (na,); a turning joint without limits gets a whole turn.
 
     Raises:
         InputError: A slide without limits, or limits that are inverted.
@@ -82,13 +82,13 @@ def draw_positions(robot: Robot) -> np.ndarray:
 
 
 def commands_positions(kinematics: Kinematics) -> bool:
-    """Return whether the tool can be brought to every position nearby, so that a position asks for no turn in its stead."""
+    """Return whether the tool can reach every position nearby, so that places are positions."""
     commanded = kinematics.commanded
     return commanded.by_position or {k for k in _list_moving(kinematics) if k < 3} <= set(commanded.index)
 
 
 def _list_moving(kinematics: Kinematics) -> list[int]:
-    """Return the components of the tool's twist that are not zero everywhere: at none of some positions about home."""
+    """Return the components of the tool's twist that are not zero at all tested positions about home."""
     robot = kinematics.robot
     travel = np.where(np.isfinite(robot.upper - robot.lower), robot.upper - robot.lower, 1.0)
     about = robot.home + _ABOUT * travel * np.random.default_rng(0).uniform(-1, 1, (_PROBES, robot.na))
@@ -98,7 +98,7 @@ def _list_moving(kinematics: Kinematics) -> list[int]:
 
 
 class WorkspaceModel:
-    """Any mechanism; its inverse kinematics are home's carried on from neighbour to neighbour.
+    """Any mechanism; its inverse kinematics start at home and continue from neighbour to neighbour.
 
     Attributes:
         kinematics: The mechanism.
@@ -110,8 +110,8 @@ class WorkspaceModel:
         length: Characteristic length [m].
         by_position: Whether places are the tool's positions, not its commanded coordinates.
         axes: Names of a place's three coordinates.
-        units: Theirs, m or rad.
-        scale: What one unit of each counts (3,) [m].
+        units: Units of these coordinates, m or rad.
+        scale: Length of one unit of each coordinate (3,) [m].
         home_place: Home's place (3,) [m].
     """
 
@@ -132,7 +132,7 @@ class WorkspaceModel:
         self._sign = float(np.sign(np.linalg.det(at_home))[0]) if square else 0.0
 
     def _set_coordinates(self) -> None:
-        """Choose the rows of the twist that are asked for, what a turn counts, and what a place is."""
+        """Choose the requested rows of the twist, the characteristic length of turns, and the kind of places."""
         moves = _list_moving(self.kinematics)
         linear = [k for k in moves if k < 3]
         at_home = self.kinematics.jacobian(self.robot.home[None])[0]
@@ -143,7 +143,7 @@ class WorkspaceModel:
         self._set_places()
 
     def _set_places(self) -> None:
-        """Take commanded coordinates for places where the tool cannot be brought to every position nearby."""
+        """Use commanded coordinates as places if the tool cannot reach every position nearby."""
         self.by_position = commands_positions(self.kinematics)
         if self.by_position:
             return
@@ -155,7 +155,7 @@ class WorkspaceModel:
         self.home_place = self._place_of(self.home)[0]
 
     def place(self, places: np.ndarray, rotation: np.ndarray) -> Poses:
-        """Return the tool's poses at places (N, 3) [m]; `rotation` (3, 3) is the tool's where places are positions."""
+        """Return the tool's poses at places (N, 3) [m]; `rotation` (3, 3) is the tool's if places are positions."""
         if self.by_position:
             return Poses(places, np.broadcast_to(rotation, (len(places), 3, 3)))
         commanded = self.kinematics.commanded
@@ -173,7 +173,7 @@ class WorkspaceModel:
         return values * self.scale
 
     def solve(self, poses: Poses) -> InverseSolution:
-        """Return positions in home's configuration, whatever their limits."""
+        """Return positions in home's configuration; joint limits are ignored."""
         place = self._place_of(poses)
         n = len(place)
         q, code = np.full((n, self.robot.na), np.nan), np.full(n, "out of reach", dtype=object)
@@ -197,7 +197,7 @@ class WorkspaceModel:
         return InverseSolution(q, code == "", code, poses, turned)
 
     def _reached(self, q: np.ndarray, poses: Poses) -> Poses:
-        """Return the tool's poses (N) at positions (N, na), those given where there are none."""
+        """Return the tool's poses (N) at positions (N, na); poses without a solution keep the given ones."""
         there = np.flatnonzero(np.isfinite(q).all(axis=1))
         found = self.kinematics.forward(q[there], start=poses.take(there)).poses
         position, rotation = poses.position.copy(), np.array(poses.rotation)
@@ -207,7 +207,7 @@ class WorkspaceModel:
     def _try(
         self, poses: Poses, place: np.ndarray, index: np.ndarray, start: np.ndarray, q: np.ndarray, code: np.ndarray
     ) -> float:
-        """Solve some of the poses from known neighbours, write what was found, return how far the tool is turned."""
+        """Solve some of the poses from solved neighbours, store the solutions, return the largest error of the orientation."""
         here = poses.take(index)
         if self.by_position:
             inverse = self.kinematics.inverse(here, start=start, limits=False)
@@ -226,7 +226,7 @@ class WorkspaceModel:
         return float(np.max(turned[same], initial=0.0))
 
     def _solve_commanded(self, poses: Poses, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return positions (N, na) with these commanded coordinates, by Newton's method, and where it arrived (N,).
+        """Return positions (N, na) with these commanded coordinates, by Newton's method, and where it converged (N,).
 
         Positions far beyond the limits are not followed: most of them do not close.
         """
@@ -257,7 +257,7 @@ class WorkspaceModel:
         return []
 
     def rates(self, q: np.ndarray, poses: Poses) -> Rates:
-        """Return the closure's derivatives about the tool as rates; of a tree the rows of the twist that are asked for."""
+        """Return the closure's derivatives about the tool as rates; for a tree the requested rows of the twist."""
         rows = self._rows
         tool = -self.kinematics.closure_by_pose(q, poses)[:, rows][:, :, rows]
         linear = sum(k < 3 for k in rows)
@@ -269,7 +269,7 @@ class WorkspaceModel:
         return [_place_body(body, at) for body in self.bodies]
 
     def reach(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return a box around the places that random positions reach, with room to every side."""
+        """Return a box around the places that random positions reach, with a margin on every side."""
         found = self.kinematics.forward(draw_positions(self.robot))
         place = self._place_of(found.poses.take(found.ok))
         low, high = place.min(axis=0), place.max(axis=0)
@@ -296,7 +296,7 @@ class LegsWorkspaceModel(WorkspaceModel):
         self._set_places()
 
     def _list_bodies(self, drawn: list[Body]) -> list[Body]:
-        """Return frame, plate, what actuated joints alone carry, and the legs."""
+        """Return frame, plate, solids carried by actuated joints alone, and the legs."""
         model, robot, legs = self.robot.model, self.robot, self._legs
         self._plate = model.frames[model.getFrameId(legs.plate)].parentJoint
         active = [model.getJointId(j) for j in robot.actuated]
@@ -309,7 +309,7 @@ class LegsWorkspaceModel(WorkspaceModel):
         return kept
 
     def solve(self, poses: Poses) -> InverseSolution:
-        """Return positions in home's configuration, whatever their limits."""
+        """Return positions in home's configuration; joint limits are ignored."""
         found = self.kinematics.inverse(poses, limits=False)
         if not self.by_position:
             return InverseSolution(found.q, found.ok, found.reason, self._reached(found.q, poses))
@@ -319,7 +319,7 @@ class LegsWorkspaceModel(WorkspaceModel):
         return InverseSolution(found.q, found.ok, found.reason, poses, turned)
 
     def rates(self, q: np.ndarray, poses: Poses) -> Rates:
-        """Return the closure's derivatives about the tool as rates, a row a leg."""
+        """Return the closure's derivatives about the tool as rates, one row per leg."""
         by_pose, by_q = self.kinematics.closure_by_pose(q, poses), self.kinematics.closure_by_q(q, poses)
         return Rates(-by_pose, by_q, self._turns, self.length)
 
@@ -334,7 +334,7 @@ class LegsWorkspaceModel(WorkspaceModel):
         """Return `bodies` at these poses."""
         legs, plate = self._legs, self._legs.plate_poses(poses)
         start, end = legs.base_points(q), legs.plate_points(plate)
-        x = np.zeros((self.robot.model.nv, len(q)))  # only what actuated joints alone carry is placed by the tree
+        x = np.zeros((self.robot.model.nv, len(q)))  # the tree places only solids on actuated joints alone
         x[self.robot.active_v] = (self.robot.drive_scale * q).T
         at = compute_frames(self._joints, x) if self._joints else None
         out = []
@@ -350,7 +350,7 @@ class LegsWorkspaceModel(WorkspaceModel):
         return out
 
     def reach(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return a box that holds every place of the tool: each leg's joint is within its length of the cart's travel."""
+        """Return a box that contains every place of the tool: each leg's joint is within its length of the cart's travel."""
         if not self.by_position:
             return super().reach()
         legs, q = self._legs, draw_positions(self.robot)
@@ -366,13 +366,13 @@ class LegsWorkspaceModel(WorkspaceModel):
 
 
 def build_machine(robot: Robot | Kinematics) -> WorkspaceModel:
-    """Return a robot as its workspace needs it."""
+    """Return the workspace model of a robot."""
     kinematics, legs = build_kinematics(robot), get_rods(robot)
     return WorkspaceModel(kinematics) if legs is None else LegsWorkspaceModel(kinematics, legs)
 
 
 def _list_real_legs(legs: Rods) -> list[tuple[str, list[int]]]:
-    """Return the legs that are there: both sides of a triangle on one hinge are one body from the hinge's middle."""
+    """Return the physical legs: both sides of a triangle on one hinge are one body from the hinge's middle."""
     out = {}
     for k, name in enumerate(legs.names):
         stem = name.rpartition("_")[0]
@@ -383,7 +383,7 @@ def _list_real_legs(legs: Rods) -> list[tuple[str, list[int]]]:
 
 
 def _place_body(body: Body, at: Frames | None) -> PlacedSolid:
-    """Return a body where its joint is, or where it stands."""
+    """Return a body at the pose of its joint, or at its fixed pose."""
     if body.joint == 0 or at is None:
         return build_standing_solid(body.shape, body.placement)
     rotation = np.ascontiguousarray(np.moveaxis(at.rotation[body.joint], 2, 0))

@@ -1,4 +1,4 @@
-"""What a map shows and what a catalogue says: condition, distance to singularity, worst speed and force, springs."""
+"""Maps and catalogue of a robot: condition, distance to singularity, worst speed and force, springs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tau_dyn.mechanism import Poses
 
 
 class Quantity(NamedTuple):
-    """What a map shows: its words and unit."""
+    """Quantity of a map: its description and unit."""
 
     words: str
     unit: str
@@ -66,13 +66,13 @@ class Quality:
         return [name for name in QUANTITIES if name in there - elastic]
 
     def choose_usual(self) -> list[str]:
-        """Return the names of the maps where none is asked for: all that are known, and a robot with rods its stiffness."""
+        """Return the default maps: all known ones, and the stiffness if the robot has rods."""
         known = self.available()
         asked = ["stiffness"] if self.machine.rods is not None and "stiffness" not in known else []
         return [*known, *asked]
 
     def list_names(self) -> list[str]:
-        """Return the names of the quantities that can be asked, those that are unknown included."""
+        """Return the names of the quantities that can be requested, unknown ones included."""
         robot = self.machine.robot
         missing = {
             "sag_load": self.elasticity.load is None,
@@ -82,7 +82,7 @@ class Quality:
         return [name for name in QUANTITIES if not missing.get(name, False)]
 
     def expand(self, words: Iterable[str]) -> list[str]:
-        """Return the names of the maps that words ask for: `stiffness`, `sag` and `resonance` ask for several.
+        """Return the names of the maps requested by words: `stiffness`, `sag` and `resonance` request several.
 
         Raises:
             UnknownName: A quantity that does not exist, or that this robot lacks.
@@ -96,7 +96,7 @@ class Quality:
         return list(dict.fromkeys(found))
 
     def compute_maps(self, names: Sequence[str], q: np.ndarray, poses: Poses) -> dict[str, np.ndarray]:
-        """Return quantities by name, each (N,) in SI; those of the springs with `<name>_stderr` where the springs have some.
+        """Return quantities by name, each (N,) in SI; those of the springs with `<name>_stderr` if the springs have some.
 
         Raises:
             UnknownName: A quantity that does not exist, or that this robot lacks.
@@ -133,7 +133,7 @@ class Statistics(NamedTuple):
 
 
 def compute_statistics(values: np.ndarray) -> Statistics:
-    """Return least, median and largest of the finite values; nan where there are none."""
+    """Return least, median and largest of the finite values; nan without finite values."""
     values = values[np.isfinite(values)]
     if not len(values):
         return Statistics(np.nan, np.nan, np.nan)
@@ -146,11 +146,11 @@ _MAX_ELASTIC_PLACES = 400
 
 
 class Extreme(NamedTuple):
-    """Where a quantity is least or largest.
+    """Place where a quantity is least or largest.
 
     Attributes:
-        place: Of the tool (3,) [m], or its commanded coordinates.
-        ci95: 95 % interval of the value there from the springs' standard errors; None where they have none.
+        place: Position of the tool (3,) [m], or its commanded coordinates.
+        ci95: 95 % interval of the value there from the springs' standard errors; None without standard errors.
     """
 
     place: np.ndarray
@@ -158,13 +158,13 @@ class Extreme(NamedTuple):
 
 
 class CatalogueRow(NamedTuple):
-    """One quantity over the workspace, in SI; nan where it is unknown.
+    """One quantity over the workspace, in SI; nan if it is unknown.
 
     Attributes:
         spread: Least, median and largest value.
         home: Value at home.
-        least: Where it is least, or None.
-        largest: Where it is largest, or None.
+        least: Place of the least value, or None.
+        largest: Place of the largest value, or None.
         home_ci95: 95 % interval of the value at home, or None.
     """
 
@@ -215,12 +215,12 @@ class Catalogue(NamedTuple):
     """Figures of a robot.
 
     Attributes:
-        rows: By quantity: statistics over the workspace, where they are met, and the value at home.
-        places: Evenly spaced places of the workspace (M, 3) [m] that the statistics are taken over.
-        values: Quantities there (M,) by name, standard errors included; those of the springs nan where not evaluated.
-        evaluated: Where the springs were linearised (M,).
+        rows: Statistics over the workspace with the places of the extremes, and the value at home, by quantity.
+        places: Evenly spaced places of the workspace (M, 3) [m] for the statistics.
+        values: Quantities there (M,) by name, standard errors included; those of the springs are nan if not evaluated.
+        evaluated: Whether the springs were linearised (M,).
         stiffness_at_home: Main stiffnesses (3,) [N/m] and directions (3, 3) at home, or None.
-        elasticity: Where the stiffness comes from.
+        elasticity: Source of the stiffness.
         length: Characteristic length [m].
     """
 
@@ -298,7 +298,7 @@ def build_catalogue(found: Workspace, quality: Quality, asked: Sequence[str] = (
 
 
 def _find_main_stiffness(elasticity: Elasticity, q: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return main stiffnesses (3,) [N/m] and directions (3, 3) at a pose (na,); None where they are unknown."""
+    """Return main stiffnesses (3,) [N/m] and directions (3, 3) at a pose (na,); None if they are unknown."""
     near = elasticity.linearise(q)
     if near is None:
         return None

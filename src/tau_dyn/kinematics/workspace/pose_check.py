@@ -1,8 +1,8 @@
-"""What a pose must satisfy, and which demand it fails first; cheap ones are looked at first, collisions last.
+"""Requirements for a pose, and the first one that it violates; cheap ones are checked first, collisions last.
 
-A rod is not tested against the cart and the plate that hold its joints, nor against what that cart rides on: there the ball
-joint's angle is the limit, and how brackets and sockets are cut is not in a robot file. What touches at home is left out as
-well, and named.
+A rod is not tested against the cart and the plate that hold its joints, nor against the guideway of that cart: there the ball
+joint's angle is the limit, and the shape of brackets and sockets is not in a robot file. Solids that touch at home are left out
+as well, and named.
 """
 
 from __future__ import annotations
@@ -33,22 +33,23 @@ KINDS = (
     "not connected to home",
     "too close to the border",
 )
-"""Kinds of reasons, in the order in which they are asked; a pose keeps the first that excludes it."""
+"""Kinds of reasons, in the order of the checks; a pose keeps the first that excludes it."""
 WORST_CONDITION = 1e3
 """Condition number above which a pose counts as singular: a thousandth of the best direction's speed is left."""
 
 
 @dataclass(frozen=True, eq=False)
 class PoseRequirements:
-    """What a pose must satisfy.
+    """Requirements for a pose.
 
     Attributes:
-        ball_angle: Largest angle of rods in their ball joints [rad]; None takes the file's, 45 degrees where it gives none.
+        ball_angle: Largest angle of rods in their ball joints [rad]; None takes the file's, or else 45 degrees.
         surroundings: Obstacles, zones and the tool's limits.
         collisions: Whether the robot must not touch itself and its frame.
         clearance: Distance that solids of the robot keep from each other [m].
         condition: Largest condition number.
-        singularity: Least distance to a singularity, in singular values of the homogenised closure; 0 asks for its sign alone.
+        singularity: Least distance to a singularity, in singular values of the homogenised closure; 0 requires only the sign
+            of the determinant at home.
         border: Distance to keep from the workspace's border [m].
         actuators: Whether actuator limits count.
     """
@@ -63,7 +64,7 @@ class PoseRequirements:
     actuators: bool = True
 
     def __post_init__(self) -> None:
-        """Refuse numbers that make no sense."""
+        """Refuse values out of range."""
         if self.ball_angle is not None and not 0 < self.ball_angle <= np.pi:
             raise InputError(
                 "invalid_value",
@@ -79,10 +80,10 @@ class PoseRequirements:
 
 
 class Reasons:
-    """Codes for reasons: INSIDE, then one a pair of kind and culprit, as they turn up."""
+    """Codes of reasons: INSIDE, then one per pair of kind and culprit, in the order of occurrence."""
 
     def __init__(self) -> None:
-        """Start with none."""
+        """Start without reasons."""
         self._known: dict[tuple[str, str], int] = {}
 
     def code(self, kind: str, culprit: str = "") -> int:
@@ -102,12 +103,12 @@ class Reasons:
         return ""
 
 
-_GUIDEWAY_CLEARANCE_M = 0.02  # [m] what a cart keeps from the guideway that it rides on
+_GUIDEWAY_CLEARANCE_M = 0.02  # [m] largest distance between a cart and its guideway
 
 
 @dataclass(frozen=True)
 class SolidPair:
-    """Two solids: indices among the bodies, and what the pair is called."""
+    """Two solids: indices among the bodies, and the name of the pair."""
 
     first: int
     second: int
@@ -119,7 +120,7 @@ class SolidPair:
 
 
 def list_pairs(machine: WorkspaceModel, margin: float = 0.0) -> tuple[list[SolidPair], list[str]]:
-    """Return the pairs to test, and the names of those left out because they touch at home though nothing joins them."""
+    """Return the pairs to test, and the names of pairs left out because they touch at home although no joint connects them."""
     bodies = machine.bodies
     solids = machine.solids(machine.robot.home[None], machine.home)
     kept: list[SolidPair] = []
@@ -138,7 +139,7 @@ def list_pairs(machine: WorkspaceModel, margin: float = 0.0) -> tuple[list[Solid
 
 
 def _joined(a: int, b: int, bodies: list[Body], solids: list[PlacedSolid], machine: WorkspaceModel) -> bool:
-    """Return whether two solids belong to one link, or one is a rod and the other holds its joint or carries what does."""
+    """Return whether two solids belong to one link, or one is a rod and the other holds its joint or carries the holder."""
     if bodies[a].rod < 0:
         return bodies[a].joint == bodies[b].joint
     if bodies[b].rod >= 0:
@@ -155,7 +156,7 @@ def _joined(a: int, b: int, bodies: list[Body], solids: list[PlacedSolid], machi
 
 
 def _rides(a: Body, b: Body, machine: WorkspaceModel) -> bool:
-    """Return whether a joint lies between two links."""
+    """Return whether a joint connects two links."""
     parents = machine.robot.model.parents
     return a.rod < 0 and (parents[a.joint] == b.joint or parents[b.joint] == a.joint)
 
@@ -171,17 +172,17 @@ _BATCH = 20000  # poses at a time, tens of MB
 
 
 class PoseCheck(NamedTuple):
-    """Codes (N,) and positions (N, na) of poses; positions are nan where there are none."""
+    """Codes (N,) and positions (N, na) of poses; positions are nan without a solution."""
 
     code: np.ndarray
     q: np.ndarray
 
 
 class PoseChecker:
-    """Judges the poses of one robot by one set of demands."""
+    """Checks the poses of one robot against one set of requirements."""
 
     def __init__(self, machine: WorkspaceModel, demands: PoseRequirements, reasons: Reasons | None = None) -> None:
-        """Prepare; finds out what touches at home."""
+        """Prepare; find the pairs that touch at home."""
         self.machine, self.demands = machine, demands
         self.reasons = reasons if reasons is not None else Reasons()
         self.balls: BallJoints | None = None
@@ -219,7 +220,7 @@ class PoseChecker:
         return PoseCheck(code, q)
 
     def _mark(self, code: np.ndarray, index: np.ndarray, wrong: np.ndarray, kind: str, culprit: str = "") -> None:
-        """Give the poses at `index` that are wrong their reason, unless they have one."""
+        """Set the reason of the poses at `index` that are wrong, unless they already have one."""
         hit = index[wrong]
         hit = hit[code[hit] == INSIDE]
         if len(hit):
@@ -295,7 +296,7 @@ class PoseChecker:
 
 
 def _of_solver(reason: str) -> tuple[str, str]:
-    """Return the kind of a reason that inverse kinematics gives, and its words where they say more."""
+    """Return the kind of a reason of inverse kinematics, and its text if that is more specific."""
     if reason == "singular":
         return "singularity", "no inverse kinematics"
     if reason == "branch change":

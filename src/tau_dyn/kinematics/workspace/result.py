@@ -1,8 +1,8 @@
-"""A workspace: its points, its size with bounds, why the others do not belong, the floor it takes, and what was doubtful.
+"""A workspace: its points, its size with bounds, the reasons of excluded points, the robot's footprint, and warnings.
 
-The floor is that of the robot's frame and its carts' travel, seen from above. No source defines the ratio it goes with, so both
-readings are reported: workspace volume per floor area [m], and per volume of the upright box around frame and carts (the
-installation). Rods and plate, which reach beyond, belong to the workspace and do not count.
+The footprint is the floor area of the robot's frame and its carts' travel, seen from above. No source defines the ratio of
+workspace and footprint, so two ratios are reported: workspace volume per floor area [m], and per volume of the upright box around
+frame and carts (the installation). Rods and plate, which reach beyond, belong to the workspace and do not count.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ _MEASURES = {1: ("length", "m"), 2: ("area", "m2"), 3: ("volume", "m3")}
 
 @dataclass(frozen=True, eq=False)
 class Footprint:
-    """The floor that a robot stands on: the rectangle, parallel to x and y, of its frame and its actuators' travel.
+    """Footprint of a robot: the rectangle, parallel to x and y, around its frame and its actuators' travel.
 
     Attributes:
         lower: Corner (2,) [m].
         upper: Opposite corner (2,) [m].
-        height: From its lowest to its highest point [m].
-        what: What it was taken from.
+        height: Distance from its lowest to its highest point [m].
+        what: Parts of the robot that it contains.
     """
 
     lower: np.ndarray
@@ -40,27 +40,27 @@ class Footprint:
 
     @property
     def area(self) -> float:
-        """[m^2]."""
+        """Area [m^2]."""
         return float(np.prod(self.upper - self.lower))
 
 
 @dataclass(frozen=True, eq=False)
 class Workspace(Brief):
-    """Where the tool can be at one orientation.
+    """Workspace of the tool at one orientation.
 
     Attributes:
         machine: The robot.
-        judge: What decided.
+        judge: Checker of the poses.
         rotation: Rotation (3, 3) of the tool.
-        lattice: The points that were looked at.
-        code: Code of every point (lattice shape), `INSIDE` where it belongs.
-        asked: Whether a point was judged itself, not filled from its neighbours (lattice shape).
-        size: Volume with bounds [m^3]; area or length where the tool moves in a plane or on a line.
-        lower: Lowest coordinates of the set (3,) [m], of turns [rad].
-        upper: Highest coordinates (3,) [m], of turns [rad].
-        footprint: Of the robot.
-        reasons: What the codes mean.
-        places: The judged points that have positions (M, 3) [m].
+        lattice: The points that were classified.
+        code: Code of every point (lattice shape), `INSIDE` in the workspace.
+        asked: Whether a point was checked itself, not filled from its neighbours (lattice shape).
+        size: Volume with bounds [m^3]; area or length if the tool moves in a plane or on a line.
+        lower: Lowest coordinates of the set (3,) [m], [rad] for turns.
+        upper: Highest coordinates (3,) [m], [rad] for turns.
+        footprint: Footprint of the robot.
+        reasons: Meaning of the codes.
+        places: The checked points that have positions (M, 3) [m].
         q: Their actuated positions (M, na).
         place_codes: Their codes (M,).
         warnings: Sentences.
@@ -84,7 +84,7 @@ class Workspace(Brief):
 
     @property
     def inside(self) -> np.ndarray:
-        """Whether each point belongs (lattice shape)."""
+        """Whether each point is in the workspace (lattice shape)."""
         return self.code == INSIDE
 
     @property
@@ -94,7 +94,7 @@ class Workspace(Brief):
 
     @property
     def measure(self) -> tuple[str, str]:
-        """What its size is called, and its unit."""
+        """Name of its size, and the unit."""
         name, unit = _MEASURES.get(self.dimension, ("points", "1"))
         wide = [u for u, n in zip(self.machine.units, self.lattice.shape, strict=True) if n > 1]
         if self.machine.by_position:
@@ -106,7 +106,7 @@ class Workspace(Brief):
         return self.machine.place(points, self.rotation)
 
     def counts(self) -> list[dict[str, Any]]:
-        """Return how many points each reason excludes, by kind, then by culprit; shares are of the box looked at."""
+        """Return how many points each reason excludes, by kind, then by culprit; shares are relative to the searched box."""
         found = []
         total = self.code.size
         number = np.bincount(self.code.ravel(), minlength=max((c for c, _, _ in self.reasons.items()), default=0) + 1)
@@ -119,7 +119,7 @@ class Workspace(Brief):
         return found
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the part of the JSON result that is the workspace."""
+        """Return the workspace's part of the JSON result."""
         name, unit = self.measure
         by_position, frame = self.machine.by_position, self.footprint
         value, low, high = self.size

@@ -1,7 +1,7 @@
-"""All that `tau-dyn workspace` asks of a robot in one call: workspace, sections with maps, catalogue, tilt.
+"""The analysis of `tau-dyn workspace` in one call: workspace, sections with maps, catalogue, tilt.
 
-Every point of a section is judged on its own, with the maps' quantities where it belongs. The tool's tilt is how far its axis can
-lean towards every side at one place until a demand is not met.
+Every point of a section is checked itself; points of the workspace have the quantities of the maps. The tool's tilt is the
+angle by which its axis can lean in each direction at one place until a requirement is violated.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ class Section:
     """A plane through a workspace.
 
     Attributes:
-        axis: Index of the axis that it is across (0, 1, 2).
-        at: Where [m].
+        axis: Index of the axis orthogonal to it (0, 1, 2).
+        at: Coordinate on that axis [m].
         across: Index of the axis drawn to the right.
         up: Index of the axis drawn upwards.
         u: Coordinates to the right (nu,) [m].
         v: Coordinates upwards (nv,) [m].
-        code: Codes (nu, nv), 0 where a pose belongs.
-        maps: Quantities by name (nu, nv), nan where a pose does not belong.
-        area: Of the part that belongs [m^2].
+        code: Codes (nu, nv), 0 in the workspace.
+        maps: Quantities by name (nu, nv), nan outside the workspace.
+        area: Area of the part in the workspace [m^2].
         axes: Names of the three coordinates.
-        units: Theirs, m or rad.
+        units: Units of these coordinates, m or rad.
     """
 
     axis: int
@@ -66,12 +66,12 @@ class Section:
 
     @property
     def name(self) -> str:
-        """Such as `x = 1.75 m`."""
+        """Text such as `x = 1.75 m`."""
         return f"{self.axes[self.axis]} = {self.at:.4g} {self.units[self.axis]}"
 
     @property
     def inside(self) -> np.ndarray:
-        """Whether each point belongs (nu, nv)."""
+        """Whether each point is in the workspace (nu, nv)."""
         return self.code == INSIDE
 
 
@@ -79,7 +79,7 @@ def parse_section(text: str, axes: Sequence[str] = ("x", "y", "z")) -> tuple[int
     """Return axis and place of a section such as `x=1.75`, by the names of the axes.
 
     Raises:
-        InputError: It is written otherwise.
+        InputError: The text has another form.
     """
     axis, equals, number = text.partition("=")
     try:
@@ -92,17 +92,17 @@ def parse_section(text: str, axes: Sequence[str] = ("x", "y", "z")) -> tuple[int
 
 
 def judge_section(found: Workspace, axis: int, at: float, quality: Quality, names: Sequence[str] = ()) -> Section:
-    """Judge a plane across an axis.
+    """Check the points of a plane across an axis.
 
     Args:
         found: The workspace.
         axis: Index of the axis.
-        at: Where [m].
+        at: Coordinate on that axis [m].
         quality: Evaluates the maps.
-        names: Of the maps.
+        names: Names of the maps.
 
     Raises:
-        InputError: The plane misses what was searched, or the tool does not move in it.
+        InputError: The plane misses the searched box, or the tool does not move in it.
     """
     across, up = [k for k in range(3) if k != axis]
     machine, name = found.machine, found.machine.axes[axis]
@@ -150,7 +150,7 @@ def _thin_out(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the points of a section (nu, nv) at which springs are linearised, and which of them is nearest to each inside.
 
     Args:
-        inside: Which points belong (nu, nv).
+        inside: Whether each point is in the workspace (nu, nv).
 
     Returns:
         Flat indices of the chosen points (m,), and for each point inside the position of the nearest in that list.
@@ -168,7 +168,7 @@ def _along(low: float, high: float, step: float) -> np.ndarray:
 
 
 def _also_of_lattice(found: Workspace, places: np.ndarray, code: np.ndarray) -> np.ndarray:
-    """Return codes with what only the whole lattice knows: connection with home, distance from the border."""
+    """Return codes that include the properties of the whole lattice: connection with home, distance from the border."""
     index = np.rint((places - found.lattice.low) / found.lattice.step).astype(int)
     index = np.clip(index, 0, np.array(found.lattice.shape) - 1)
     near = found.code[tuple(index.T)]
@@ -183,7 +183,7 @@ def choose_usual_sections(found: Workspace) -> list[tuple[int, float]]:
     return [(k, float(home[k])) for k in range(3) if all(wide[i] for i in range(3) if i != k)]
 
 
-_SIDES = 24  # directions of leaning, 15 degrees apart
+_SIDES = 24  # directions of leaning, every 15 degrees
 _MAX_TILT_RAD = np.deg2rad(120.0)
 _STEP = np.deg2rad(1.0)
 
@@ -192,10 +192,10 @@ class Tilt(NamedTuple):
     """Reachable orientations at a place.
 
     Attributes:
-        place: (3,) [m].
+        place: The place (3,) [m].
         towards: Directions in the tool's xy plane into which its z axis leans (m,) [rad].
-        angle: How far it can lean towards each (m,) [rad].
-        reason: Why not farther (m words).
+        angle: Largest angle in each direction (m,) [rad].
+        reason: Reason of each limit (m words).
     """
 
     place: np.ndarray
@@ -224,10 +224,10 @@ def turns_freely(found: Workspace) -> bool:
 
 
 def measure_tilt(found: Workspace, place: np.ndarray) -> Tilt:
-    """Return how far the tool can lean at a place, starting from the workspace's orientation.
+    """Return the range of tilt of the tool at a place, relative to the workspace's orientation.
 
     Raises:
-        InputError: The robot's tool does not turn freely, or the place does not belong to the workspace.
+        InputError: The robot's tool does not turn freely, or the place is not in the workspace.
     """
     if not turns_freely(found):
         raise InputError(
@@ -261,12 +261,12 @@ def measure_tilt(found: Workspace, place: np.ndarray) -> Tilt:
 
 
 _MAX_PLACES = 2000
-"""Places of a result file at most."""
+"""Largest number of places in a result file."""
 
 
 @dataclass(frozen=True, eq=False)
 class Study(Shown):
-    """A workspace and what was asked about it.
+    """A workspace and its analysis.
 
     Attributes:
         workspace: The workspace.
@@ -306,7 +306,7 @@ class Study(Shown):
         return {"points": figures.places[figures.evaluated] / self.workspace.machine.scale, "values": values}
 
     def _cloud(self) -> dict[str, Any]:
-        """Return places inside [m], thinned, with the maps there: what a viewer draws."""
+        """Return places inside [m], thinned, with the maps there, for a viewer."""
         space = self.workspace
         inside = np.flatnonzero(space.place_codes == INSIDE)
         chosen = inside[:: max(1, -(-len(inside) // _MAX_PLACES))]
@@ -351,21 +351,21 @@ def study_workspace(
 
     Args:
         robot: The robot.
-        demands: What a pose must satisfy.
+        demands: Requirements for a pose.
         resolution: Finest distance of points [m].
         turn_deg: Roll, pitch and yaw of the tool from home, about the world's axes [deg].
         sections: Planes such as `x=1.75`; by default those through home.
         maps: Names of quantities, or `stiffness`, `sag`, `resonance` for all maps of that kind; by default all that are known
             and the stiffness of a robot with rods.
-        tilt_at: Place at which the range of tilt is asked (3,) [m]; by default home.
-        rod_stiffness: [N/m] of each rod with its joints, inf for rigid.
-        actuator_stiffness: By joint, '' for all [N/m or N m/rad], inf for rigid.
+        tilt_at: Place at which the range of tilt is computed (3,) [m]; by default home.
+        rod_stiffness: Stiffness of each rod with its joints [N/m], inf for rigid.
+        actuator_stiffness: Stiffness by joint, '' for all [N/m or N m/rad], inf for rigid.
         load: Weight of a load at the tool [N].
-        seed: Of the random points of the refinement.
-        progress: Told what is being done.
+        seed: Seed of the random points of the refinement.
+        progress: Called with the current step.
 
     Raises:
-        InputError: Some of it is at fault.
+        InputError: An argument is invalid.
     """
     machine = leave_singular_home(build_machine(robot), demands)
     planes = [parse_section(text, machine.axes) for text in sections]
@@ -401,7 +401,7 @@ def study_workspace(
 
 
 def _list_lost_poses(figures: Catalogue, names: Sequence[str]) -> list[str]:
-    """Return a sentence where the springs do not hold the robot at some poses."""
+    """Return a sentence if the springs do not hold the robot at some poses."""
     name = next(name for name in names if name in ELASTIC_MAPS)
     lost = int(np.isnan(figures.values[name][figures.evaluated]).sum())
     if not 0 < lost < figures.evaluated.sum():
@@ -438,7 +438,7 @@ def build_points_table(found: Study) -> pd.DataFrame:
 
 
 def _list_elastic_columns(found: Study, places: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the maps of the springs and their standard errors at places (N, 3), nan where none was linearised."""
+    """Return the maps of the springs and their standard errors at places (N, 3), nan where the robot was not linearised."""
     figures, wanted = found.catalogue, [name for name in found.maps if name in ELASTIC_MAPS]
     if not wanted:
         return {}
