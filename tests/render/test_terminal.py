@@ -11,7 +11,7 @@ from tau_dyn.log import check_log
 from tau_dyn.render import print_result
 from tau_dyn.render.kinds.parameter_rows import ParameterRow, build_parameter_table
 from tau_dyn.render.terminal import build_grids, put
-from tau_dyn.results import Column, On, ResultTable, Row, format_with_uncertainty
+from tau_dyn.results import Chapter, Column, On, Presentation, ResultTable, Row, format_with_uncertainty
 
 
 def _printed(width: int, show, *args) -> str:
@@ -58,6 +58,23 @@ def test_a_name_breaks_between_its_parts():
     lines = _printed(80, lambda console: put(console, build_grids(table, 80)[0])).split()
     assert "".join(x for x in lines if x[0] in "sjcp")[-30:] == "shoulder_pan_joint.coulomb_pos"
     assert all(x[-1] in "_." for x in lines if x.startswith("shoulder")) and max(map(len, lines)) <= 80
+
+
+def test_a_wide_table_keeps_names_and_numbers_whole():
+    """A file gets the columns that names and numbers need, and a remark wraps; a terminal keeps its width."""
+    cells = [
+        "elbow_joint.armature",
+        "0.017140 ± 0.000097",
+        "1.234567890123456789 ± 0.000000012345678",
+        "by the prior of it",
+    ]
+    columns = [Column("name"), Column("value", "number"), Column("second", "number"), Column("remark")]
+    table = ResultTable(columns, [Row(cells)], on=On.ALL)
+    shown = Presentation("Test", "me", "t", sections=[Chapter("a", "", lambda: [table], On.ALL)])
+    file = _printed(80, lambda console: print_result(console, shown, wide_tables=True)).splitlines()
+    assert any(all(cell in line for cell in cells[:3]) for line in file) and 80 < max(map(len, file)) < 100
+    assert not any(cells[3] in line for line in file)
+    assert max(map(len, _printed(80, print_result, shown).splitlines())) <= 80
 
 
 def test_colour_only_for_people(found):

@@ -141,7 +141,8 @@ class Outcome:
         elif self.found is not None and self.printed:
             from tau_dyn.render import print_result
 
-            print_result(console, self.found, written, **self.context)
+            wide = not console.is_terminal and "COLUMNS" not in os.environ
+            print_result(console, self.found, written, wide_tables=wide, **self.context)
         for line in self.lines:
             console.print(line, markup=False)
 

@@ -33,13 +33,21 @@ ROW_STYLE = {"weak": "dim", "unseen": "dim", "quiet": "dim", "changed": "bold", 
 _EIGHTHS = " ▏▎▍▌▋▊▉█"
 
 
-def print_result(console: Console, result: Any, written: Mapping[str, str] | None = None, **options: Any) -> None:
+def print_result(
+    console: Console,
+    result: Any,
+    written: Mapping[str, str] | None = None,
+    *,
+    wide_tables: bool = False,
+    **options: Any,
+) -> None:
     """Print any result for a person.
 
     Args:
         console: The console.
         result: The result, or its presentation.
         written: Written files, such as `{"report": "m.html"}`, for the last lines.
+        wide_tables: Whether a table may be wider than the console so that its names and numbers stay whole, as in a file.
         options: Options of `present` for this kind of result.
     """
     shown = result if isinstance(result, r.Presentation) else present(result, **options)
@@ -50,7 +58,7 @@ def print_result(console: Console, result: Any, written: Mapping[str, str] | Non
     if shown.verdict is not None and shown.verdict.sentence:
         say(console, shown.verdict.sentence, LEVEL_STYLE[shown.verdict.level])
     for block in shown.list_blocks(r.On.TERMINAL):
-        _print_block(console, block)
+        _print_block(console, block, wide=wide_tables)
     if written:
         say(console, "\n".join(f"{what} → {path}" for what, path in written.items()))
 
@@ -75,10 +83,10 @@ def say(console: Console, text: str, style: str = "") -> None:
     put(console, escape_control_characters(text, style))
 
 
-def put(console: Console, what: Said | Grid) -> None:
-    """Print a text or a table after an empty line, within the margin and the available width."""
+def put(console: Console, what: Said | Grid, columns: int | None = None) -> None:
+    """Print a text or a table after an empty line, within the margin and `columns`, by default the available width."""
     console.print()
-    options = console.options.update(width=measure_columns(console))
+    options = console.options.update(width=columns or measure_columns(console))
     for line in console.render_lines(Padding(what, MARGIN, expand=False), options, pad=False):
         console.print(Segments([*_trim(line), Segment.line()]), end="", no_wrap=True, crop=False)
 
@@ -101,10 +109,11 @@ def draw_meter(share: float, width: int) -> str:
     return "█" * (eighths // 8) + (_EIGHTHS[eighths % 8] if eighths % 8 else "")
 
 
-def _print_block(console: Console, block: r.Element) -> None:
+def _print_block(console: Console, block: r.Element, *, wide: bool) -> None:
     if isinstance(block, r.ResultTable):
-        for grid in build_grids(block, measure_columns(console)):
-            put(console, grid)
+        columns = max(measure_columns(console), measure_table(block) if wide else 0)
+        for grid in build_grids(block, columns):
+            put(console, grid, columns)
         more = len([row for row in block.all_rows if row.on & r.On.TERMINAL]) - block.most
         if block.most and more > 0:
             say(console, f"and {more} {block.rest}", "dim")
@@ -127,13 +136,21 @@ def _build_listing(block: r.Listing) -> Said | Grid:
     return table
 
 
+def measure_table(table: r.ResultTable) -> int:
+    """Return the columns in which a table keeps its names, numbers and words whole without the parts that it can spare."""
+    rows, shown = _select_shown(table)
+    least = _measure_columns(table, rows, shown, whole=False)
+    needed = [k for k in shown if not table.columns[k].spare]
+    kept = [k for k in shown if table.columns[k].kept]
+    parts = [[*kept, k] for k in shown if k not in kept] if kept else [needed]
+    return MARGIN[3] + max((_sum(least, part) for part in parts if part), default=0)
+
+
 def build_grids(table: r.ResultTable, columns: int) -> list[Grid]:
     """Return a table as one or more tables that fit into `columns`."""
-    rows = [row for row in table.all_rows if row.on & r.On.TERMINAL]
-    rows = rows[: table.most] if table.most else rows
-    shown = [k for k, c in enumerate(table.columns) if c.on & r.On.TERMINAL and c.kind != "interval"]
+    rows, shown = _select_shown(table)
     room = columns - MARGIN[3]
-    wide = {k: _measure(table.columns[k], [row.cells[k] for row in rows]) for k in shown}
+    wide = _measure_columns(table, rows, shown)
     kept = [k for k in shown if table.columns[k].kept]
     if not kept:
         while _sum(wide, shown) > room and any(table.columns[k].spare for k in shown):
@@ -147,16 +164,34 @@ def build_grids(table: r.ResultTable, columns: int) -> list[Grid]:
     return [_build_grid(table, rows, [*kept, *part], wide, room) for part in parts]
 
 
+def _select_shown(table: r.ResultTable) -> tuple[Sequence[r.Row], list[int]]:
+    """Return the rows and the numbers of the columns for a terminal."""
+    rows = [row for row in table.all_rows if row.on & r.On.TERMINAL]
+    shown = [k for k, c in enumerate(table.columns) if c.on & r.On.TERMINAL and c.kind != "interval"]
+    return rows[: table.most] if table.most else rows, shown
+
+
+def _measure_columns(
+    table: r.ResultTable, rows: Sequence[r.Row], shown: Sequence[int], *, whole: bool = True
+) -> dict[int, int]:
+    """Return the required width of columns, with their text on one line or, if not `whole`, with a word a line."""
+    return {k: _measure(table.columns[k], [row.cells[k] for row in rows], whole=whole) for k in shown}
+
+
 def _sum(wide: Mapping[int, int], shown: Sequence[int]) -> int:
     return sum(wide[k] for k in shown) + GAP * (len(shown) - 1)
 
 
-def _measure(column: r.Column, cells: Sequence[r.Cell]) -> int:
+def _measure(column: r.Column, cells: Sequence[r.Cell], *, whole: bool) -> int:
     """Return the required width of a column; text and bars share the remaining width."""
     if column.kind in ("bar", "step"):
         return max(MIN_BAR, len(column.title))
     words = [x.badge if isinstance(x, r.Verdict) else x if isinstance(x, str) else "" for x in cells]
-    return max((len(line) for text in (column.title, *words) for line in text.split("\n")), default=0)
+    wraps = column.kind == "text" and not whole
+    return max(
+        (len(line) for text in (column.title, *words) for line in (text.split() if wraps else text.split("\n"))),
+        default=0,
+    )
 
 
 def _build_grid(
@@ -165,13 +200,14 @@ def _build_grid(
     grid = Grid(box=box.SIMPLE_HEAD, padding=(0, GAP - 1, 0, 0), pad_edge=False, show_edge=False, header_style="dim")
     columns = [table.columns[k] for k in shown]
     grid.show_header = any(c.title for c in columns)
+    left = room - _sum(wide, shown)
+    least = _measure_columns(table, rows, shown[1:], whole=False)
+    named = max(room - _sum(least, shown[1:]) - GAP, MIN_BAR) if left < 0 and columns[0].kind == "text" else room
     for n, column in enumerate(columns):
-        words = column.kind == "text" and (n > 0 or _sum(wide, shown) > room)
+        words = column.kind == "text" and (n > 0 or wide[shown[0]] > named)
         head = escape_control_characters(column.title, "dim")
         justify = "right" if column.kind == "number" else "left"
         grid.add_column(head, justify=justify, no_wrap=not words, overflow="fold")
-    left = room - _sum(wide, shown)
-    named = max(room - _sum(wide, shown[1:]) - GAP, MIN_BAR) if left < 0 and columns[0].kind == "text" else room
     longest = next(bar for least, bar in MAX_BAR.items() if room >= least)
     bar = int(np.clip(MIN_BAR + left, MIN_BAR, longest))
     left -= bar - MIN_BAR if any(c.kind in ("bar", "step") for c in columns) else 0
