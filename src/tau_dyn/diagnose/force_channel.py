@@ -205,7 +205,7 @@ def build_force_channel(
 
 
 def _with_refits(scene: Scene, refitted: RefittedModel) -> Scene:
-    """Return the scene with the joints' zeros that fit best, and the largest forces beside a saturation."""
+    """Return the scene with the joints' zeros that fit best, and the largest forces of a fit with a saturation."""
     zeros = dict(zip(scene.joints, map(float, refitted.zeros), strict=True))
     largest = dict(zip(scene.joints, map(float, refitted.largest), strict=True))
     scales = {joint: {**own, "delivered": largest[joint]} for joint, own in scene.scales.items()}

@@ -59,7 +59,7 @@ from tau_dyn.results import format_list
 from tau_dyn.robot import LinkInertia, Robot
 
 REFERENCE = "\0model file"
-"""Name of the campaign that stands for a model file's values; no file has this name."""
+"""Name of the campaign that represents the values of a model file; no file has this name."""
 _FRICTION = "friction"
 
 
@@ -173,7 +173,7 @@ class _Study:
     def _add_reference(self, trusted: Parameters, own: Estimate) -> _Study:
         """Return the study with the campaign of a model file: its bodies' forces on these motions, and noise of the same kind.
 
-        Its noise is the residual of these logs in reverse, which has the same spectrum and knows nothing of the motion.
+        Its noise is the residual of these logs in reverse, which has the same spectrum and is unrelated to the motion.
         """
         names = self.channel.parameters.names
         bodies = np.isin(names, self.robot.parameters.names)
@@ -385,7 +385,7 @@ class LoadReport:
 
     Attributes:
         findings: A finding for each load.
-        without: Errors of the refit without loads; None where none was accepted.
+        without: Errors of the refit without loads; None if no load was accepted.
     """
 
     findings: tuple[Finding, ...] = ()

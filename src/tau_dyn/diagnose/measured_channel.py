@@ -26,7 +26,7 @@ from tau_dyn.log import Log, compute_edge_samples, decimate, lowpass_and_decimat
 from tau_dyn.parameters import Parameters
 
 POSE_S = 1.0
-"""Poses held still count one by one, whatever the time between them: each stands for this long [s]."""
+"""Static poses count one by one, independent of the time between them: each represents this duration [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,15 +152,14 @@ def build_measured_channel(
 
 
 def find_directions(v: np.ndarray, threshold: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the direction of the last motion that was surely one, and from when on there was any.
+    """Return the direction of the last certain motion, and the samples from which on there was one.
 
     Args:
         v: Speeds (N, na) [m/s or rad/s].
         threshold: Slowest speed with a sure sign (na,).
 
-    Returns:
-        -1 or 1 (N, na), before a joint's first sure motion that of the first, 0 where there is none at all; and whether a
-        sure motion came before (N, na).
+    Returns: -1 or 1 (N, na), before a joint's first certain motion the direction of that motion, 0 if it never moves; and
+        whether a certain motion came before (N, na).
     """
     sides = [_direction(v[:, k], float(threshold[k])) for k in range(v.shape[1])]
     return np.column_stack([sign for sign, _ in sides]), np.column_stack([known for _, known in sides])

@@ -2,9 +2,9 @@ r"""A log that holds the fitted baseline and encoder noise alone, for the parame
 
 A drive that closes its loop through a noisy encoder answers with force: `tau = ... + sum_l H_l n(t - l dt)`. Far above the
 motion's band the measured position is noise and the force is the answer to it, so `H` is fitted there, by least squares on
-high-passed signals; how many lags there are, or none, is chosen by BIC. A few taps, as a discrete cascade has them, are the same
-below that band, at the log's own rate. That a loop follows slow noise, so that less of it is read, is not computed; nor is the
-aliasing of a log that holds every fourth sample.
+high-passed signals; the number of lags, which may be zero, is chosen by BIC. A few taps, as a discrete cascade has them, are
+the same below that band, at the log's own rate. Two effects are not computed: a loop follows slow noise, so that less of it is
+read, and a log of every fourth sample is aliased.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ _MAX_CUTOFF_SHARE = 0.35
 
 
 def estimate_feedback_taps(log: Log, joints: Sequence[str], cutoff_hz: float) -> np.ndarray:
-    """Return the answer of forces to encoder noise `H` (2 L + 1, na, na) [N/m ..] at lags -L to L; empty where there is none.
+    """Return the answer of forces to encoder noise `H` (2 L + 1, na, na) [N/m ..] at lags -L to L; empty without feedback.
 
     Args:
         log: Positions and forces at the rate at which they were logged.
         joints: The actuated joints.
-        cutoff_hz: Up to here positions hold motion [Hz].
+        cutoff_hz: Frequency up to which positions hold motion [Hz].
     """
     q, rate_hz = log.joint("q", joints), log.rate_hz
     na, above = q.shape[1], min(max(cutoff_hz, _MIN_CUTOFF_SHARE * rate_hz), _MAX_CUTOFF_SHARE * rate_hz)
@@ -77,7 +77,7 @@ _WIDEST_CUTOFF_SHARE = 0.45
 
 @dataclass(frozen=True, eq=False)
 class NoiseOnlyLog:
-    """A log as the fitted baseline would have made it: what of it is the same in every draw of encoder noise.
+    """A log as the fitted baseline would have made it: the part that is the same in every draw of encoder noise.
 
     Attributes:
         log: The piece at the rate of the fit.
@@ -85,9 +85,9 @@ class NoiseOnlyLog:
         q: Positions without noise (n, na) [m or rad], at the rate of the fit.
         force: The baseline's forces along them (n, na) [N or N m].
         read: Positions without noise at the rate of the recording (N, na), and its clock.
-        step: Steps to which positions are rounded (na,); 0 for none.
-        level: Noise before the rounding (na,), which follows the place.
-        taps: How forces answer to encoder noise; see `estimate_feedback_taps`.
+        step: Steps to which positions are rounded (na,); 0 without rounding.
+        level: Noise before the rounding (na,), which depends on the position.
+        taps: Response of forces to encoder noise; see `estimate_feedback_taps`.
         cutoff_hz: Low-pass by which the recording was thinned [Hz].
     """
 

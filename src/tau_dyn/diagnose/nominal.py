@@ -1,9 +1,8 @@
-"""Refitted parameters against their trusted nominal values: what only corrects a number of the robot file.
+"""Refitted parameters compared with their trusted nominal values: differences that only correct a number of the robot file.
 
-A payload, a wrong link mass or a drive gain vanish in the baseline's refit, so no residual shows them; they show as masses
-that differ from the nominal beyond both uncertainties. All masses off by one factor is what a wrong motor constant does. Of
-robots whose bodies have more than a mass, all base parameters are compared together (`payload.py`): there one payload changes
-many numbers.
+A payload, a wrong link mass or a drive gain vanish in the baseline's refit, so no residual shows them; they show as masses that
+differ from the nominal beyond both uncertainties. A wrong motor constant changes all masses by one factor. If the bodies of a
+robot have more than a mass, all base parameters are compared together (`payload.py`): there one payload changes many numbers.
 """
 
 from __future__ import annotations
@@ -52,8 +51,8 @@ def find_parameter_changes(
 
 
 MIN_DIFFERENCE_SHARE = 0.01
-"""Share of the measured force by which the bodies' forces differ from the file's for a reader to be told; a torque is measured to
-about one per cent."""
+"""Least difference between the bodies' forces and the file's that is reported, as a share of the measured force; a torque is
+measured to about one per cent."""
 
 
 def describe_body_difference(model: Model, nominal: Parameters, estimate: Estimate | None) -> str:
@@ -117,7 +116,7 @@ def _suspect_small(finding: Finding, share: float) -> Finding:
 
 
 def _suspect_implausible(finding: Finding, robot: Robot, nominal: Parameters) -> Finding:
-    """Return a finding as `suspected` where no machine has its first amplitude, or none is known so well, with the reason."""
+    """Return a finding as `suspected`, with the reason, if its first amplitude is implausible, or is a gain too close to one."""
     first = finding.parameters[0]
     total = sum(nominal[f"{link.link}.mass"].value for link in robot.links if f"{link.link}.mass" in nominal)
     ranges = {"drive_gain": MAX_GAIN_RANGE, "force_scale": MAX_GAIN_RANGE}
@@ -134,7 +133,7 @@ def _suspect_implausible(finding: Finding, robot: Robot, nominal: Parameters) ->
 
 
 def _is_known(p: Parameter, nominal: Parameters) -> bool:
-    """Tell whether a fitted parameter is a mass that has a nominal value and is known well enough to be held against it."""
+    """Return whether a fitted parameter is a mass with a nominal value and is known well enough for a comparison."""
     if not p.free or p.stderr is None or not p.name.endswith(".mass") or p.name not in nominal:
         return False
     return nominal[p.name].value > 0 and p.stderr < 0.3 * abs(p.value)

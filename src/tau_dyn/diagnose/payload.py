@@ -136,11 +136,11 @@ class Explanation:
 
 
 def compare_with_trusted(robot: Robot, trusted: Parameters, estimate: Estimate) -> BaseParameterDifference:
-    """Return how far the bodies of a fit are from trusted values.
+    """Return the difference between the bodies of a fit and their trusted values.
 
-    Where the trusted values were themselves identified (they have standard errors), their combinations are taken to be known as
-    well as this fit's: a model file keeps no covariance. Else they are known as `BodyPrior` states, and what a drive's inertia
-    that nobody gave can make of them is left out.
+    If the trusted values were themselves identified (they have standard errors), their combinations are assumed to be known as
+    well as this fit's: a model file keeps no covariance. Otherwise their uncertainty is that of `BodyPrior`, and directions
+    that an unknown drive inertia can explain are left out.
     """
     base = estimate.base
     bodies = {n for n in robot.parameters.names if not n.endswith(".gravity_mass")}
@@ -174,7 +174,7 @@ def compare_with_trusted(robot: Robot, trusted: Parameters, estimate: Estimate) 
 
 
 def find_explanation(robot: Robot, difference: BaseParameterDifference) -> Explanation | None:
-    """Return the significant explanation of a difference, with its twins; None where none explains it."""
+    """Return the significant explanation of a difference, with its indistinguishable causes, or None."""
     if not len(difference.d):
         return None
     found = [one for row in _candidates(robot, difference) if (one := _fit(difference, *row)) is not None]
@@ -188,7 +188,7 @@ def find_explanation(robot: Robot, difference: BaseParameterDifference) -> Expla
     places = dict.fromkeys(one.place for one in alike if one.cause == best.cause and one.place != best.place)
     from_file = all(difference.trusted[n].stderr is None for n in robot.parameters.names if n in difference.trusted)
     heavier = best.cause == "payload" and from_file
-    extra = ["link_mass"] if heavier or best.cause == "drive_gain" else []  # all masses off alike are all forces off
+    extra = ["link_mass"] if heavier or best.cause == "drive_gain" else []  # a factor of all masses scales all forces
     twins = tuple(dict.fromkeys([*near, *extra]))
     return replace(best, p=best.p_value(whole, len(found)), twins=twins, places=tuple(places))
 
@@ -393,13 +393,13 @@ def _fit(difference: BaseParameterDifference, cause: str, place: str, B: np.ndar
 
 
 def _scale_bodies(robot: Robot, prior: BodyPrior, names: Sequence[str], forces: np.ndarray) -> np.ndarray:
-    """Return the covariance (r, r) of base parameters if every body is off as a whole, each by the share of its mass.
+    """Return the covariance (r, r) of base parameters if every body is wrong as a whole, each by a share of its mass.
 
     Args:
         robot: The robot.
-        prior: Of its bodies.
+        prior: Prior of its bodies.
         names: Parameters' names (p,).
-        forces: What each parameter contributes to the base parameters (r, p).
+        forces: Contribution of each parameter to the base parameters (r, p).
     """
     shares = {
         link.link: prior.rough[f"{link.link}.mass"] / prior.size[f"{link.link}.mass"]

@@ -22,7 +22,7 @@ _CLASSES = 8  # of speed, each with as many samples
 _PER_PERIOD = 12  # position bins a period of the shortest wave
 _SMOOTHED = 9  # lines of the spectrum averaged for the noise next to a peak
 OVERSAMPLING = 4
-"""Steps of the scan per 1 / range; `effects/periodic.py` lays its grid out alike."""
+"""Steps of the scan per 1 / range; `effects/periodic.py` uses the same grid."""
 LONG_PERIODS = 8.0
 """Periods in the range up to which one is not scanned but tried exactly: there the acceleration counts as well as the speed."""
 Term = tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]

@@ -2,9 +2,9 @@
 
     channel -> null model, candidate scan, stepwise selection -> confirmation -> claims with their gain -> diagnosis
 
-Forces, tool positions and deflections take the same way. Of forces the baseline stays physical, its parameters are compared
-with their nominal values, and a cause has to be more than what encoder noise makes of itself. Of poses a cyclic error may
-have several periods that fit equally well. A single joint's deflection and a tool have no mass that must stay positive and no
+Forces, tool positions and deflections take the same way. A force baseline stays physically consistent, its parameters are
+compared with their nominal values, and a cause has to exceed the effect of encoder noise. A cyclic error of poses may have
+several periods that fit equally well. A single joint's deflection and a tool have no mass that must stay positive and no
 nominal value.
 """
 
@@ -187,8 +187,8 @@ def diagnose_channel(
         seed: Seed of noise draws and intervals.
         progress: Called with a word for each step.
         warnings: Earlier doubts.
-        case: Of forces, the fitted baseline behind the channel.
-        doubt: The reason why no cause may be confirmed; empty where there is none.
+        case: The fitted baseline behind a channel of forces.
+        doubt: The reason why no cause may be confirmed; empty if causes may be confirmed.
     """
     rng = np.random.default_rng(seed)
     options, loads, without, first = ExaminationOptions(rng, progress), [], None, None
@@ -326,7 +326,7 @@ def _measure_search_band(
 
 
 def _describe_spoiled(warnings: Sequence[str]) -> str:
-    """Return why nothing may be confirmed from spoiled logs; empty for sound ones."""
+    """Return the reason why no cause may be confirmed from faulty logs; empty for sound ones."""
     codes = dict.fromkeys(get_code(warning) for warning in warnings if is_diagnosis_invalid([warning]))
     return f"the log is not what it claims to be ({', '.join(codes)}); mend it first" if codes else ""
 

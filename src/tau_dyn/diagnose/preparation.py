@@ -1,13 +1,14 @@
-"""Logs made ready for finding causes: filters chosen from the logs themselves, and the timing of the logged forces.
+"""Preparation of logs for finding causes: filters chosen from the logs themselves, and the timing of the logged forces.
 
 Causes act far above the motion's own band, so forces and positions are filtered wider than for an identification, as far as the
-encoders' noise allows; the positions from which columns are made are filtered at what stands above that noise.
+encoders' noise allows; the positions from which columns are made are low-passed at the highest frequency at which the motion
+exceeds that noise.
 
-A fit of late forces takes a part of the delay for viscous friction and for masses: `m a(t - d)` has `m w^2 d v` in it, of 60 ms
-at 1 Hz more than many a joint's friction, and what it leaves looks like springs and hysteresis. So the delay `d` and the time
-constant `T` of each output are profiled (variable projection, Golub & Pereyra 1973): forces are moved back,
-`y(t + d) + T y'(t + d)`, the baseline is refitted, and the values at the best `d` and `T` predict the force that effects of the
-recording act on.
+A fit of late forces mistakes a part of the delay for viscous friction and for masses: `m a(t - d)` contains `m w^2 d v`, which
+at 60 ms and 1 Hz exceeds the friction of many joints, and its residual resembles springs and hysteresis. So the delay `d` and
+the time constant `T` of each output are profiled (variable projection, Golub & Pereyra 1973): forces are moved back, `y(t + d)
++ T y'(t + d)`, the baseline is refitted, and the values at the best `d` and `T` predict the force that effects of the recording
+act on.
 """
 
 from __future__ import annotations
@@ -57,12 +58,13 @@ SLOW_SHARE = 0.01  # speed at which a joint's direction has to be known, as a sh
 MIN_DIRECTION_SNR = 5.0
 """Speeds whose direction is sure, in the velocity's noise."""
 REVERSAL_GAP_PERIODS = 1.0
-"""Time gated out beside a reversal, in periods of the position filter: a joint may rest for half a period unseen, its friction
-anywhere between both directions, and the filter spreads the start over as much again. Rests passed for hysteresis and delays."""
+"""Time masked around a reversal, in periods of the position filter. A joint may rest unseen for half a period, with friction
+anywhere between both directions, and the filter spreads the start over the same time. Unmasked rests resemble hysteresis and
+delays."""
 OVERSAMPLING = 5.0
 """Rate of a log that is worth keeping, in cutoffs of the position filter."""
 SMOOTH_FACTOR = 2.0
-"""Of the frequency up to which the motion stands above the encoder's noise; a wider filter lets noise into the columns."""
+"""Share of the frequency up to which the motion exceeds the encoder's noise; a wider filter lets noise into the columns."""
 
 
 def choose_diagnosis_preparation(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ...]) -> Preparation:
@@ -103,11 +105,11 @@ def choose_diagnosis_preparation(robot: Robot, logs: Sequence[Log], exclude: tup
 def keep_diagnosable(
     robot: Robot, logs: Sequence[Log], train: Sequence[Log], held: Sequence[Log], exclude: tuple[str, ...]
 ) -> tuple[list[Log], list[Log], tuple[str, ...]]:
-    """Return the pieces that are long enough for every filter of a diagnosis, and what is said of the others.
+    """Return the pieces that are long enough for every filter of a diagnosis, and warnings about the others.
 
     Args:
-        robot: Gives the actuated joints.
-        logs: What the training pieces are cut from.
+        robot: The robot, for its actuated joints.
+        logs: Logs from which the training pieces are cut.
         train: Pieces of the training logs; the filters are chosen from them.
         held: Pieces of held-out logs; they may all be too short.
         exclude: Log columns whose nonzero samples are left out.
@@ -143,19 +145,20 @@ def decimate_log(log: Log, cutoff_hz: float) -> Log:
 
 
 def smooth_cutoff(robot: Robot, logs: Sequence[Log]) -> float:
-    """Return the low-pass [Hz] that keeps of positions what stands above the encoder's noise, for making columns.
+    """Return the low-pass [Hz] that keeps the frequencies at which positions exceed the encoder's noise, for making columns.
 
-    Noise in the columns is noise in the residual, times a mass: a cause whose column has the same noise, or lacks it where
-    the baseline has it, would be found in it.
+    Noise in the columns is noise in the residual, times a mass: a cause whose column has the same noise, or lacks the
+    baseline's noise, would be found in the residual.
     """
     edges = [find_motion_band(log.joint("q", robot.actuated), log.rate_hz).signal_edge_hz.max() for log in logs]
     return SMOOTH_FACTOR * float(max(edges))
 
 
 def smooth_cutoffs(robot: Robot, train: Sequence[Log], held: Sequence[Log]) -> tuple[float, ...]:
-    """Return that low-pass [Hz] of each log: one for all that trains, at least as wide for what is held out.
+    """Return that low-pass [Hz] of each log: the same for all training logs, at least as wide for held-out logs.
 
-    A held-out log may move more sharply than those trained on; cut like them, it would lose acceleration that the robot had.
+    A held-out log may hold faster motion than the training logs; with their cutoff it would lose acceleration that the robot
+    had.
     """
     shared = smooth_cutoff(robot, train)
     return (*[shared] * len(train), *[max(shared, smooth_cutoff(robot, [log])) for log in held])
@@ -193,9 +196,9 @@ class ForceTiming:
     """Timing of the logged forces that fits the baseline best.
 
     Attributes:
-        delays: Of each output (m,) [s].
+        delays: Delay of each output (m,) [s].
         lags: Time constants of each output's low-pass (m,) [s].
-        change: What that timing changes in the baseline's values (p,).
+        change: Change of the baseline's values (p,) by that timing.
     """
 
     delays: np.ndarray
@@ -204,7 +207,7 @@ class ForceTiming:
 
 
 def find_timing(runs: Sequence[RegressionRun], values: np.ndarray, free: np.ndarray) -> ForceTiming | None:
-    """Return the timing of the forces that fits the baseline best; None where it is as good as none.
+    """Return the timing of the forces that fits the baseline best; None if it is no better than no correction.
 
     Args:
         runs: The training runs, with the baseline's columns.
@@ -268,7 +271,7 @@ class _Profile:
         return float(y @ y - np.sum((self.Q.T @ y) ** 2))
 
     def minimise(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the best delays and time constants (m,) [s]: of all outputs alike, then of each alone where better."""
+        """Return the best delays and time constants (m,) [s]: one for all outputs first, then one per output if better."""
         best = np.zeros(self.m), np.zeros(self.m)
         least = self.misfit(*best)
         alone = [np.arange(self.m) == k for k in range(self.m)]

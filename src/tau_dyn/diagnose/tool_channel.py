@@ -51,7 +51,7 @@ from tau_dyn.parameters import Parameter, Parameters
 OUTPUTS = ("x_tool", "y_tool", "z_tool")
 _MAX_RESTING_SHARE = 1e-4  # of a joint's range: it has not moved
 _STILL = 1e-9
-"""Speed [m/s or rad/s] that rounding alone gives a joint which stands still without any noise."""
+"""Speed [m/s or rad/s] that rounding alone gives a joint at rest without noise."""
 _MAX_RELATIVE_DISTANCE = 0.05
 """Distance from forward kinematics over the positions' own spread, above which the two do not belong together."""
 _LINE = 1e-6
@@ -128,7 +128,7 @@ def _approach(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     sign, travel = np.zeros_like(q), np.zeros_like(q)
     for k in range(1, len(q)):
         goes = np.sign(way[k])
-        sign[k] = np.where(goes == 0, sign[k - 1], goes)  # a joint that stands stays on its side
+        sign[k] = np.where(goes == 0, sign[k - 1], goes)  # a joint at rest stays on its side
         onward = np.where((goes == 0) | (goes == sign[k - 1]), travel[k - 1], 0.0)
         travel[k] = onward + np.abs(way[k])
     return sign, travel
@@ -224,12 +224,12 @@ def build_tool_channel(model: Model, train: Sequence[Log], held: Sequence[Log] =
     """Build the channel.
 
     Args:
-        model: Gives geometry, and the loads and forces that some effects feel.
+        model: Model for the geometry, and for the loads and forces that some effects depend on.
         train: Logs with `q_J` of every actuated joint and `x_tool y_tool z_tool`.
         held: Held-out logs.
 
     Raises:
-        InputError: A log has no tool, or the robot file has none.
+        InputError: A log or the robot file has no tool.
         CannotAnswer: Too few measurements for three parts.
     """
     robot = model.robot
@@ -264,10 +264,10 @@ def build_tool_channel(model: Model, train: Sequence[Log], held: Sequence[Log] =
 
 
 def restrict_to_group(group: tuple[str, ...], cls: type[Effect]) -> type[Effect]:
-    """Return a cause that is tried on one group of joints only.
+    """Return a cause that is tested on one group of joints only.
 
-    The search adds up what a cause explains on several joints. Forces show each joint apart; the tool shows their sum, so here
-    each joint counts as a cause of its own, and a further joint is found in a further round.
+    The search adds the statistics of a cause over several joints. Forces show each joint separately; the tool shows their sum,
+    so here each joint is a separate cause, and a further joint is found in a further step.
     """
 
     def groups(_: type[Effect], scene: Scene) -> list[tuple[str, ...]]:

@@ -1,7 +1,7 @@
-r"""What is known of a robot's bodies before any log: the one prior of the whole program.
+r"""Prior knowledge of a robot's bodies before any log; the whole program uses this one prior.
 
 An inertial number `x` has the value `x0` of the robot file. Its error is the stated one (`--fix LINK.mass=VALUE+-SIGMA`, the
-model of a fleet). Where none is stated, the file is one of two kinds, and nobody knows which before the logs:
+model of a fleet). If no error is stated, the file is one of two kinds, and it is unknown which one before the logs are used:
 
     accurate     x ~ N(x0, (0.02 s)^2)      s = m r^k,  k = 0 mass, 1 first moment, 2 inertia
     rough        x ~ N(x0, (0.25 s)^2)      m mass of the body, r its radius of gyration about the joint frame's origin
@@ -58,10 +58,10 @@ class BodyPrior:
 
     @classmethod
     def of(cls, robot: Robot, parameters: Parameters | None = None) -> BodyPrior:
-        """Return the prior of a robot; without any mass in its file, that of the drives alone.
+        """Return the prior of a robot; if its file has no mass, the prior of the drives alone.
 
-        The stated error of a mass says nothing of the body's centre and inertia, unless it is larger than the default: they are
-        known no better than the mass then.
+        The stated error of a mass does not change the prior of the body's centre and inertia, unless it is larger than the
+        default: then they are known no better than the mass.
 
         Args:
             robot: The robot.

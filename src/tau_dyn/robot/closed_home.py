@@ -1,8 +1,8 @@
-"""A home at which the loops of a robot close, where the zeros of its file are none.
+"""A home at which the loops of a robot close, for files whose zero positions do not close them.
 
-Zeros of a stretched mechanism are a dead centre, and zeros that a drawing program chose may close no loop at all. From the
-file's home and from random starts, least squares on the gaps `p_A - p_B` moves the passive joints, and all joints where that
-does not do. Of the closures within the limits the one nearest to the file's home is taken.
+The zero position of a stretched mechanism is a dead centre, and zeros chosen by a CAD program may close no loop at all. Least
+squares on the gaps `p_A - p_B`, started at the file's home and at random positions, moves the passive joints, or all joints if
+that is not enough. The closure within the limits that is nearest to the file's home is taken.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ class _Gap:
         return x if np.abs(self.measure(x)).max() < _CLOSED else None
 
     def solve_from_home(self) -> np.ndarray | None:
-        """Return the closure (nv,) to which Newton's method leads the passive joints from the file's home; None where to none."""
+        """Return the closure (nv,) that Newton's method finds for the passive joints from the file's home, or None."""
         x, moved = self.home.copy(), [int(k) for k in self.robot.passive_v]
         for _ in range(_NEWTON_STEPS):
             gap = self.measure(x)

@@ -1,7 +1,8 @@
-"""Dimensions of a robot family by name: numbers in the YAML tables that a xacro loads, and files of one's own dimensions.
+"""Dimensions of a robot family by name: numbers in the YAML tables that a xacro loads, and files of user-defined dimensions.
 
-A name is the path to an entry, such as `simplified.arms.1.rods.1.length`; lists count from 1. What an alias of the table
-repeats follows the entry. A file of one's own holds the same names as nested mappings, beside xacro arguments:
+A name is the path to an entry, such as `simplified.arms.1.rods.1.length`; lists count from 1. Entries that an alias of the
+table repeats change with it. A file of user-defined dimensions holds the same names as nested mappings, in addition to xacro
+arguments:
 
     arms: complete
     home: {tool: [1.7, -0.6, 0.8]}
@@ -69,9 +70,9 @@ class TableChanges:
 
     Attributes:
         values: Values by name, as given.
-        listing: Whether tables are read even where nothing changes.
+        listing: Whether tables are read even if no value changes.
         numbers: Every number in the tables loaded so far, by name.
-        fault: What was wrong with a table or a value, if anything.
+        fault: The error in a table or a value, if any.
     """
 
     def __init__(self, values: Mapping[str, str], *, listing: bool = False) -> None:
@@ -103,7 +104,7 @@ class TableChanges:
         """Refuse a name that neither arguments nor tables have.
 
         Raises:
-            UnknownName: With the names that stand beside it.
+            UnknownName: The message lists the names that exist at that place.
         """
         for name in self.values:
             if name not in self._used:
@@ -121,7 +122,7 @@ class TableChanges:
 
 
 def _find(node: Any, path: list[str]) -> Any:
-    """Return the node at the end of a path, None where there is none."""
+    """Return the node at the end of a path, or None."""
     for key in path:
         if isinstance(node, yaml.MappingNode):
             node = next((inside for own, inside in node.value if own.value == key), None)
@@ -152,7 +153,7 @@ def read_number(text: str, where: str) -> float:
     """Return a finite number.
 
     Raises:
-        InputError: The text is none.
+        InputError: The text is not a finite number.
     """
     try:
         number = float(text)

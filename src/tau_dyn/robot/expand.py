@@ -1,9 +1,9 @@
-"""From a robot file to plain URDF text: short names, xacro arguments, MJCF, and XML that cannot expand entities.
+"""Expand a robot file to plain URDF text: short names, xacro arguments, MJCF, and XML that cannot expand entities.
 
-A xacro file is code: it evaluates Python expressions. Here they may not reach for Python itself (`xacro_evaluation.py`), and
-neither the file nor anything it includes may declare a document type or entities; but a xacro may still read files, and
-compute without end. Load one only from people whose scripts you would run, or refuse them all with `xacro=False`. A file that
-neither ends in `.xacro` nor declares xacro's namespace is never evaluated.
+A xacro file is code: it evaluates Python expressions. Here they have no access to Python itself (`xacro_evaluation.py`), and
+neither the file nor anything it includes may declare a document type or entities. A xacro may still read files and run without
+end. Load one only from people whose scripts you would run, or refuse all of them with `xacro=False`. A file that neither ends
+in `.xacro` nor declares xacro's namespace is never evaluated.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from tau_dyn.robot.xacro_evaluation import evaluate_xacro
 _LOG = "; this looks like a log; were robot and log exchanged?"
 _MODEL = "; is it a model file? Then give the robot's file first"
 _SWAPPED = {".csv": _LOG, ".parquet": _LOG, ".mcap": _LOG, ".bag": _LOG, ".mat": _LOG, ".yaml": _MODEL, ".yml": _MODEL}
-"""What may have happened where a file of another kind stands for a robot."""
+"""Hint for a file of another kind that was given as a robot."""
 
 MAX_ROBOT_BYTES = 32 * 2**20
 """[bytes] Of a robot file; real ones, without their meshes, have less than one MiB."""
@@ -62,7 +62,7 @@ def list_robots() -> dict[str, Path]:
 
 
 def describe_robot(path: Path) -> str:
-    """Return the first sentence of the first comment in a robot file, its brackets whole; empty where it has none."""
+    """Return the first sentence of the first comment in a robot file, with its brackets closed; empty if it has no comment."""
     head = path.read_text(encoding="utf-8", errors="replace")[:4000]
     comment = re.search(r"<!--(.*?)-->", head, re.DOTALL)
     words = " ".join(comment.group(1).split()) if comment and path in list_robot_names().values() else ""
@@ -138,7 +138,7 @@ def expand(
 
 @lru_cache(maxsize=32)
 def _expand_own(path: Path, given: tuple[tuple[str, str], ...], written: tuple[tuple[str, int], ...]) -> str:
-    """Expand a robot that comes with the package once, for as long as no file beside it is written again."""
+    """Expand a built-in robot once; it is expanded again only if a file in its folder changes."""
     del written  # part of what is remembered
     return _expand(path, dict(given), evaluate=True)[0]
 
@@ -167,7 +167,7 @@ def _expand(
     changes = TableChanges({})
 
     def read_table(name: str) -> str:
-        """Return a table that a xacro loads, once it is known to hold nothing that takes long, with changes to it."""
+        """Return a table that a xacro loads, with changes to it, after a check that it does not take long to load."""
         try:
             return changes.apply(format_yaml(name), str(name))
         except InputError as fault:

@@ -1,6 +1,6 @@
-"""From a robot file to a `Robot`: expand, read, hand the tree to Pinocchio, add frames at the loops' ends.
+"""Load a robot file as a `Robot`: expand, read, pass the tree to Pinocchio, add frames at the loops' ends.
 
-The file stays the single source for Pinocchio (which ignores the loop elements), Drake (which reads them) and us.
+The file remains the single source for Pinocchio (which ignores the loop elements), Drake (which reads them) and `tau_dyn`.
 """
 
 from __future__ import annotations
@@ -41,9 +41,10 @@ from tau_dyn.robot.semantics import find_srdf, read_passive_joints
 _LOGGER = logging.getLogger(__name__)
 TOOL_NAMES = ("tool", "tool0", "tcp", "hand_tcp", "ee_link", "end_effector", "attachment_site", "flange")
 _MOUNTS = TOOL_NAMES[5:]  # carry tools: the only leaf behind one is the tool
-"""Usual names of a tool frame, our own files', ROS-Industrial's, and those of common arms.
+"""Usual names of a tool frame: those of the built-in robots, of ROS-Industrial, and of common arms.
 
-The first that exists counts; where none does, the first that a single frame's name ends in, as `panda_hand_tcp` does."""
+The first one that exists is used; otherwise the first one with which the name of exactly one frame ends, such as
+`panda_hand_tcp`."""
 FITTED = '<tau_dyn:estimated_inertias xmlns:tau_dyn="urn:tau_dyn"/>'
 """Element of a robot file whose inertias data gave; they need not be those of bodies."""
 MAX_DEGREES_OF_FREEDOM = 300
@@ -69,16 +70,16 @@ def load_robot(
 
     Args:
         robot: Path to a `.urdf`, `.urdf.xacro` or MJCF `.xml`, or the short name of a robot that comes with the package, with
-            `example-robot-data` (`ur5`) or is in the cache of `robot_descriptions` (`ur5e_description`).
+            `example-robot-data` (`ur5`), or is in the cache of `robot_descriptions` (`ur5e_description`).
         actuated: Names of the actuated joints; by default those with a `<transmission>` or commanded by `<ros2_control>`.
         tool: Name of the tool frame; by default the first of `TOOL_NAMES`, or the only leaf of the tree.
-        xacro: Whether a xacro may be evaluated; False takes plain URDF only, for a file from people you do not trust.
-        packages: Folders of ROS packages by name, before those that are found (`packages.py`).
-        srdf: An SRDF that names passive joints; by default the one beside the file, of the same name.
-        fitted_inertias: Accept inertias that no body has, as those that were fitted to forces.
-        hold: Positions of joints that are held still [m or rad], by name.
-        base: `floating` for a robot that walks; its pose is then measured (`floating_base.py`). By default `fixed`; any other
-            value is the xacro argument of this name, a dimension of some robots.
+        xacro: Whether a xacro may be evaluated; False accepts plain URDF only, for files from an untrusted source.
+        packages: Folders of ROS packages by name; they take precedence over those that are found (`packages.py`).
+        srdf: An SRDF that names passive joints; by default the one next to the file, of the same name.
+        fitted_inertias: Accept inertias that no body can have, such as those fitted to forces.
+        hold: Positions of joints that are fixed [m or rad], by name.
+        base: `floating` for a robot that walks; its pose is then measured (`floating_base.py`). The default is `fixed`; any
+            other value is the xacro argument of this name, a dimension of some robots.
         contacts: Links that touch the ground at times: `FRAME` for a point foot, `FRAME=RADIUS` [m] for a ball about its origin
             (by default the one that the link shows), `FRAME=flat` for a flat foot.
         **arguments: xacro arguments, such as `prototype="l1"`.
@@ -159,10 +160,10 @@ def load_robot_from_urdf(
     passive: Iterable[str] = (),
     packages: Mapping[str, str | Path] | None = None,
 ) -> Robot:
-    """Build a robot from URDF text; `source` is how messages and saved models call it. See `load_robot`.
+    """Build a robot from URDF text; `source` is its name in messages and saved models. See `load_robot`.
 
     Joints with a `<tau_dyn:spring>` are locked at zero, so that the robot is rigid; `lock_springs=False` leaves them movable.
-    Joints named `passive` are not taken as actuated unless the text or `actuated` says so. Meshes are looked for in `packages`.
+    Joints named `passive` are not actuated unless the text or `actuated` names them. Meshes are searched in `packages`.
     """
     notes = read_annotations(urdf, source)
     model = _build_model(urdf, source)
@@ -288,7 +289,7 @@ def _build_model(urdf: str, where: str) -> pin.Model:
 
 
 def _check_bodies(model: pin.Model, notes: Annotations, where: str) -> None:
-    """Refuse moving bodies, with what is fixed to them, whose inertia no body has."""
+    """Reject moving bodies, with the links fixed to them, whose inertia no body can have."""
     for joint in range(1, model.njoints):
         body = model.inertias[joint]
         moments = np.linalg.eigvalsh(body.inertia) if np.isfinite(body.inertia).all() else np.full(3, np.inf)
@@ -296,7 +297,7 @@ def _check_bodies(model: pin.Model, notes: Annotations, where: str) -> None:
 
 
 def _locked(model: pin.Model, joints: list[str], where: str) -> pin.Model:
-    """Return the tree with these joints rigid at zero; what hangs on them joins the body before."""
+    """Return the tree with these joints fixed at zero; the bodies behind them are merged with the body before."""
     ids = [model.getJointId(j) for j in joints]
     several = next((j for j, k in zip(joints, ids, strict=True) if model.joints[k].nv != 1), None)
     if several is not None:
@@ -310,11 +311,11 @@ def _locked(model: pin.Model, joints: list[str], where: str) -> pin.Model:
 
 @contextmanager
 def _said_on_stderr() -> Iterator[list[str]]:
-    """Collect what a C++ library writes to the process' stderr; the list holds it after the block."""
+    """Capture the text that a C++ library writes to the process' stderr; the list holds it after the block."""
     said: list[str] = []
     try:
         kept = os.dup(2)
-    except OSError:  # closed: nothing can be said there
+    except OSError:  # closed: no message can be written there
         yield said
         said.append("")
         return
@@ -332,7 +333,7 @@ def _said_on_stderr() -> Iterator[list[str]]:
 def _actuated(
     model: pin.Model, notes: Annotations, wanted: Iterable[str] | None, passive: tuple[str, ...], where: str
 ) -> tuple[tuple[str, ...], list[str]]:
-    """Return the actuated joints in the tree's order, and what is doubtful about them."""
+    """Return the actuated joints in the tree's order, and warnings about them."""
     movable = [n for n in model.names[1:]]
     driven = [t.joint for t in notes.transmissions if t.joint not in notes.mimics]
     names = list(wanted) if wanted is not None else driven
@@ -365,7 +366,7 @@ def _actuated(
 
 
 def _resolve_mimics(model: pin.Model, notes: Annotations, actuated: tuple[str, ...], where: str) -> dict[str, Mimic]:
-    """Return the joints that follow an actuated one, or one that stands still, with what they follow in the end."""
+    """Return the joints that follow an actuated joint or a fixed one, with the joint that they finally follow."""
     found = {}
     for name in notes.mimics:
         leader, share, offset, seen = name, 1.0, 0.0, [name]
@@ -407,7 +408,7 @@ def _sum_friction(
 
 
 def _find_tool(model: pin.Model, notes: Annotations, wanted: str | None, where: str) -> str:
-    """Return the tool frame's name; empty where none was named and none is evident."""
+    """Return the tool frame's name; empty if no frame is named and no frame is evident."""
     if wanted is not None:
         if not model.existFrame(wanted):
             raise UnknownName("frame", wanted, [f.name for f in model.frames[1:]], where)

@@ -27,10 +27,10 @@ def convert_mjcf(text: str, path: Path) -> str:
 
     Args:
         text: The file.
-        path: Where it lies; what it includes is looked for beside it.
+        path: Path of the file; included files are searched in its folder.
 
     Raises:
-        InputError: It holds what a rigid robot with a fixed base cannot have; the sentence names the element.
+        InputError: It has an element that a rigid robot with a fixed base cannot have; the message names the element.
     """
     file = MjcfFile(text, path)
     for prefix, space in (("drake", _DRAKE), ("tau_dyn", _OURS)):
@@ -94,7 +94,7 @@ def _drive(tree: MjcfTree) -> None:
 
 
 def _find_pulled(tree: MjcfTree, tendons: dict[str, Element], item: Item) -> str:
-    """Return the joint that a tendon's motor drives in the end; none, with a warning, where it pulls several."""
+    """Return the joint that a tendon's motor drives; empty, with a warning, if it drives several joints."""
     tendon = tendons.get(item.get("tendon"))
     if tendon is None or tendon.tag != "fixed":
         raise InputError("unsupported", f"{item.where}: tendon '{item.get('tendon')}' is not a fixed one, over joints")

@@ -35,14 +35,14 @@ class Geom(NamedTuple):
 
 
 def read_shape(item: Item, frame: Transform) -> Geom:
-    """Return a geom that stands in a frame of its body; a capsule's or cylinder's `size` is radius, radius, half length.
+    """Return a geom that is given in a frame of its body; a capsule's or cylinder's `size` is radius, radius, half length.
 
     Raises:
         InputError: Its size lacks a number.
     """
     kind = item.get("type", "sphere")
     if item.get("mesh") and kind != "mesh":
-        kind = "mesh"  # a primitive fitted to a mesh, whose size the mesh's file tells
+        kind = "mesh"  # a primitive fitted to a mesh, whose size is given by the mesh file
     if kind not in _SIZES:
         return Geom(item, kind, np.zeros(3), frame @ item.pose())
     pose, n = item.pose(), _SIZES[kind]
@@ -59,7 +59,7 @@ def read_shape(item: Item, frame: Transform) -> Geom:
 
 
 def read_inertial(item: Item) -> BodyMass:
-    """Return what an `<inertial>` says.
+    """Return the inertia of an `<inertial>` element.
 
     Raises:
         InputError: A number is missing or negative.
@@ -76,10 +76,10 @@ def read_inertial(item: Item) -> BodyMass:
 
 
 def sum_shapes(shapes: Iterable[Geom], groups: tuple[float, float], where: str) -> BodyMass:
-    """Return the inertia of a body's shapes whose group lies in a range.
+    """Return the inertia of a body's shapes whose group is in a range.
 
     Raises:
-        InputError: A mesh has mass, which only its file could tell.
+        InputError: A mesh has mass, which only the mesh file could determine.
     """
     parts = [part for shape in shapes if (part := _weigh(shape, groups, where)) is not None]
     mass = sum(part.mass for part in parts)

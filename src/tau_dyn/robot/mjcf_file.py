@@ -33,7 +33,7 @@ class Transform(NamedTuple):
     origin: np.ndarray
 
     def __matmul__(self, other: Transform) -> Transform:
-        """Return where a frame is that sits at `other` in this one."""
+        """Return the frame that is placed at `other` in this one."""
         return Transform(self.rotation @ other.rotation, self.rotation @ other.origin + self.origin)
 
     def place(self, point: np.ndarray) -> np.ndarray:
@@ -141,18 +141,18 @@ class MjcfFile:
     """A file with its included ones.
 
     Attributes:
-        where: The file, as messages call it.
-        root: Its `<mujoco>`, inclusions put in.
+        where: The file's name in messages.
+        root: Its `<mujoco>` element, with included files inserted.
         compiler: Settings of all `<compiler>` elements, the last of each name.
-        defaults: By class and element, the attributes.
+        defaults: Attributes by class and element.
         meshes: Meshes in files of their own, by name.
     """
 
     def __init__(self, text: str, path: Path) -> None:
-        """Read a file's text and what it includes.
+        """Read a file's text and its included files.
 
         Raises:
-            InputError: An inclusion is not there, comes twice, or is no XML without entities.
+            InputError: An included file does not exist, is included twice, or is not XML without entities.
         """
         self.where, self.root = str(path), _parse(text, str(path))
         _include(self.root, path, self.where)
@@ -169,11 +169,11 @@ class MjcfFile:
         }
 
     def find_colour(self, geom: Item) -> np.ndarray | None:
-        """Return a geom's colour (4,), its own or its material's; None where it has none."""
+        """Return a geom's colour (4,), its own or its material's, or None."""
         return geom.numbers("rgba", "", 4) if "rgba" in geom.values else self._colours.get(geom.get("material"))
 
     def _read_mesh(self, element: Element) -> tuple[str, MeshAsset | None]:
-        """Return a mesh's name and place; none of what is no mesh, stands in the file itself or is moved in its frame."""
+        """Return a mesh's name and asset; None if it is not a mesh, is given in the file itself, or is moved in its frame."""
         item = self.item(element)
         path = PurePosixPath(item.get("file").replace("\\", "/"))
         if element.tag != "mesh" or not path.name or {"refpos", "refquat"} & set(item.values):
@@ -241,7 +241,7 @@ def turn_z_to(direction: np.ndarray) -> np.ndarray:
 
 
 def _include(root: Element, file: Path, where: str) -> None:
-    """Replace each `<include>` by what its file holds, with paths from the outermost file."""
+    """Replace each `<include>` by the contents of its file, with paths relative to the outermost file."""
     seen, left = [file.resolve()], [(root, 0)]
     while left:
         element, level = left.pop()

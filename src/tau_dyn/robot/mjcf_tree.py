@@ -1,7 +1,7 @@
 """The bodies, joints and sites of an MJCF file as links and joints of a URDF, with a fixed base.
 
-A joint's frame sits at its anchor, with its body's axes. MuJoCo counts a joint from its `ref`, so a URDF joint's zero is turned
-back by it and positions mean the same in both. A passive ball joint becomes three hinges.
+A joint's frame is at its anchor, with its body's axes. MuJoCo counts a joint's position from its `ref`, so the zero of the URDF
+joint is shifted back by `ref`, and positions mean the same in both. A passive ball joint becomes three hinges.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ _ROUNDED = 1e-9  # of a coefficient that is meant to be zero
 
 
 class MjcfJoint:
-    """A hinge or slide: its item, its URDF element, and what motors and equations add to it.
+    """A hinge or slide: its MJCF item, its URDF element, and the data that motors and equations add to it.
 
     Attributes:
-        item: As the file has it.
+        item: The element in the file.
         element: Its `<joint>` in the URDF.
         armature: [kg or kg m^2].
-        reference: Its position where the file draws it [m or rad].
-        effort: Limit of its force [N or N m], zero for none.
+        reference: Its position in the pose of the file [m or rad].
+        effort: Limit of its force [N or N m]; zero if unlimited.
         driven: Whether a motor drives it.
     """
 
     def __init__(self, item: Item, element: Element, armature: float, reference: float, effort: float = 0.0) -> None:
-        """Begin with what the joint's own element says."""
+        """Begin with the values of the joint's own element."""
         self.item, self.element, self.armature, self.reference, self.effort = item, element, armature, reference, effort
         self.driven = False
 
@@ -53,18 +53,18 @@ class Place:
 
 
 class MjcfTree:
-    """Builds the links of one file; what it leaves out it says.
+    """Builds the links of one file and reports the elements that it leaves out.
 
     Attributes:
         file: The file.
         root: The URDF's `<robot>`.
         joints: Hinges and slides by name.
-        bodies: By name, the world included.
-        sites: By name.
+        bodies: Bodies by name, the world included.
+        sites: Sites by name.
         positions: The joints in the order of MuJoCo's `qpos`, and how many numbers each has there.
-        said: Sentences about what is read otherwise.
+        said: Sentences about elements that are read with another meaning.
         free: Bodies with a free joint.
-        left_out: What is left out, and of which joints or bodies.
+        left_out: Elements that are left out, with their joints or bodies.
     """
 
     def __init__(self, file: MjcfFile, root: Element) -> None:
@@ -109,7 +109,7 @@ class MjcfTree:
         """Return a hinge or slide that moves.
 
         Raises:
-            InputError: There is none of this name.
+            InputError: There is no moving joint of this name.
         """
         if name not in self.joints:
             raise InputError(
@@ -150,7 +150,7 @@ class MjcfTree:
                     raise InputError("unsupported", f"{where}: <{tag} '{name}'> is not read; write its bodies out")
 
     def _inside(self, element: Element, frame: Transform, child_class: str) -> Iterator[tuple[Element, Transform, str]]:
-        """Yield the elements in a body, with the `<frame>` that each stands in and its class."""
+        """Yield the elements of a body, each with the `<frame>` that contains it and its class."""
         for child in element:
             if child.tag == "frame":
                 item = self.file.item(child, child_class)
@@ -200,7 +200,7 @@ class MjcfTree:
     def _list_joints(
         self, element: Element, frame: Transform, child_class: str, body: str
     ) -> list[tuple[Item, str, np.ndarray, np.ndarray]]:
-        """Return a joint as hinges and slides: item, kind (none for one held still), anchor and axis in the body's frame."""
+        """Return a joint as hinges and slides: item, kind (empty for a fixed one), anchor and axis in the body's frame."""
         item = self.file.item(element, child_class)
         kind = "free" if element.tag == "freejoint" else item.get("type", "hinge")
         name = item.get("name") or f"{body}_joint{len(self.positions) + 1}"

@@ -25,7 +25,8 @@ _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _LIMITED = ("revolute", "prismatic")
 
 MAX_NUMBER = 1e12
-"""Size of masses, inertias and places [kg, kg m^2, m]; squares and sums of larger ones overflow. Limits may be larger: none."""
+"""Bound of masses, inertias and positions [kg, kg m^2, m]; squares and sums of larger ones overflow. A larger limit means no
+limit."""
 
 MAX_LEVELS = 100
 """Levels of a robot file; parsers go down one call a level."""
@@ -103,14 +104,14 @@ def check_parents(root: Element, where: str) -> None:
 
 
 def check_names(elements: Iterable[Any], where: str) -> None:
-    """Refuse names that do not fit on a line: they head columns of logs and stand in sentences.
+    """Reject names that do not fit on a line: they are column headings of logs and parts of messages.
 
     Args:
-        elements: Of an ElementTree or of a minidom document.
+        elements: Elements of an ElementTree or of a minidom document.
         where: The file.
 
     Raises:
-        InputError: It shows the name.
+        InputError: The message shows the name.
     """
     for element in elements:
         name = element.get("name") if isinstance(element, Element) else element.getAttribute("name")
@@ -123,10 +124,10 @@ def check_names(elements: Iterable[Any], where: str) -> None:
 
 
 def check_numbers(root: Element, where: str) -> None:
-    """Refuse masses, inertias, origins, axes and limits that are missing, not finite numbers, or of no joint.
+    """Reject masses, inertias, origins, axes and limits that are missing, not finite, or impossible for a joint.
 
     Raises:
-        InputError: The message names the link or joint, the element and what it must hold.
+        InputError: The message names the link or joint, the element and the values it must have.
     """
     for link in root.findall("link"):
         for inertial in link.findall("inertial"):
@@ -161,15 +162,15 @@ def _check_joint(joint: Element, place: str) -> None:
 
 
 def check_inertia(mass: float, moments: Iterable[float], place: str) -> None:
-    """Refuse an inertia that no body has: a principal moment is at least zero, and at most the sum of the other two.
+    """Reject an inertia that no body can have: each principal moment is at least zero, and at most the sum of the other two.
 
     Args:
         mass: [kg].
         moments: The three principal moments about the centre [kg m^2].
-        place: What the sentence begins with.
+        place: Beginning of the message.
 
     Raises:
-        InputError: It says the moments.
+        InputError: The message states the moments.
     """
     low, middle, high = sorted(moments)
     remedy = "correct them, or accept them as fitted with --fitted-inertias"
@@ -215,7 +216,7 @@ def _check(
 
 
 def parse_numbers(text: str) -> tuple[float, ...]:
-    """Return the numbers that a text lists between blanks; none where one word is no number in every program's eyes."""
+    """Return the numbers of a text, separated by blanks; empty if a word is not a number to every program."""
     words = [word for word in re.split(r"[ \t\r\n]+", text) if word]
     return tuple(map(float, words)) if all(map(_NUMBER.fullmatch, words)) else ()
 
@@ -233,7 +234,7 @@ def build_rotation(rpy: Sequence[float] | np.ndarray) -> np.ndarray:
 
 
 def compute_rpy(rotation: np.ndarray) -> np.ndarray:
-    """Return roll, pitch and yaw [rad] of a rotation (3, 3), as accurate beside a pitch of 90 degrees as elsewhere."""
+    """Return roll, pitch and yaw [rad] of a rotation (3, 3), equally accurate near a pitch of 90 degrees."""
     yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
     pitch = np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0]))
     c, s = np.cos(yaw), np.sin(yaw)

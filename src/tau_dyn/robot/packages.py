@@ -1,13 +1,13 @@
-"""Where ROS packages lie: what `$(find NAME)` and `package://NAME` mean on a machine with or without ROS.
+"""Folders of ROS packages: the meaning of `$(find NAME)` and `package://NAME` on a machine with or without ROS.
 
-Looked for in this order: folders given by hand; the folders around the file, up to a `package.xml` and beside it; those of
-AMENT_PREFIX_PATH, CMAKE_PREFIX_PATH and ROS_PACKAGE_PATH; packages that pip installed. Nothing is imported and no program
-is called.
+Packages are searched in this order: folders given by the user; the parent folders of the file, up to a `package.xml`, and the
+folders next to that; those of AMENT_PREFIX_PATH, CMAKE_PREFIX_PATH and ROS_PACKAGE_PATH; packages that pip installed. Nothing
+is imported and no program is called.
 
-Robots of other people's packages by name: `example-robot-data` (`ur5`) and `robot_descriptions` (`ur5e_description`).
+Robots of other packages are found by name: `example-robot-data` (`ur5`) and `robot_descriptions` (`ur5e_description`).
 
-The second clones repositories when one of its modules is imported. Here none is: a module's text says which file of which
-repository it means, and the robot is there where that repository is in the cache.
+`robot_descriptions` clones repositories when one of its modules is imported, so it is not imported here: the module's text
+names the repository and the file, and the robot is available if that repository is in the cache.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ def find_package(name: str, near: Path, given: Mapping[str, str | Path] | None =
     Args:
         name: The package's name.
         near: The robot file that asks for it.
-        given: Folders by package name, which count first.
+        given: Folders by package name, which are searched first.
 
     Raises:
-        InputError: It is nowhere; the sentence says how to name its folder.
+        InputError: It is not found; the message explains how to give its folder.
     """
     if given and name in given:
         folder = Path(given[name])
@@ -152,7 +152,7 @@ def list_stock_robots() -> dict[str, Path]:
     urdfs = [file for file in listed if file.suffix == ".urdf" and "robots" in file.parts]
     for file in sorted(
         urdfs, key=lambda file: not file.stem.endswith("_robot")
-    ):  # ur3.urdf beside ur3_robot.urdf is a part
+    ):  # ur3.urdf next to ur3_robot.urdf is a part
         found.setdefault(file.stem.removesuffix("_robot"), Path(str(file.locate())))
     return found
 

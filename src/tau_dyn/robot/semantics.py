@@ -1,4 +1,4 @@
-"""What an SRDF says beyond a robot file: the joints that no motor drives."""
+"""Contents of an SRDF beyond the robot file: the joints that no motor drives."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MAX_BYTES = 8 * 2**20  # of an SRDF; real ones have tens of kilobytes
 
 
 def find_srdf(robot: Path) -> Path | None:
-    """Return the SRDF beside a robot file, of the same name or the folder's only one."""
+    """Return the SRDF next to a robot file: the one of the same name, or the only one in the folder."""
     beside = robot.with_name(f"{robot.name.split('.')[0]}.srdf")
     return beside if beside.is_file() else None
 

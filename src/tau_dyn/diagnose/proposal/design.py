@@ -1,15 +1,15 @@
-r"""How well a motion would tell two causes apart, before anybody has driven it.
+r"""Power of a planned motion to distinguish two causes.
 
-Along a motion, with white rows `B` of what is refitted anyway, `x` of the force of cause A at its fitted amplitude and `C(s)`
-of the rival's columns at settings s,
+Along a motion, let `B` be the whitened rows of all refitted parameters, `x` those of the force of cause A at its fitted
+amplitude, and `C(s)` those of the columns of the alternative cause at settings s. Then
 
     lambda = min over s of | x - [B, C(s)] least squares |^2,
 
-the noncentrality of the test of A against its rival; the motion with the largest lambda is T-optimal. Rows of separate motions
-add: a motion put together of pieces has the sum of their Gram matrices, and every lambda follows from that sum by a Schur
+is the noncentrality of the test of A against the alternative; the motion with the largest lambda is T-optimal. Rows of separate
+motions add: a motion composed of pieces has the sum of their Gram matrices, and every lambda follows from that sum by a Schur
 complement. Reference: Atkinson & Fedorov 1975.
 
-Nothing is low-passed here but the noise model: what is white in the diagnosed band is taken as white above it.
+Only the noise model is low-passed here: noise that is white in the diagnosed band is assumed to be white above it.
 """
 
 from __future__ import annotations
@@ -64,16 +64,16 @@ Thing = tuple[tuple[Effect, ...], Parameters | None]
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """What a diagnosis says of how rows are made: the model, its noise, where the direction of motion is not sure.
+    """Settings that a diagnosis gives for making rows: the model, its noise, the speeds of uncertain direction.
 
     Attributes:
         model: The refitted baseline, at which loads and forces are computed.
         noise: Noise of each joint's force at the rows' rate.
         rate_hz: Rate of the rows.
         threshold: Slowest speed with a sure sign (na,) [m/s or rad/s].
-        window_s: Time left out beside slow and reversing samples [s].
+        window_s: Time left out around slow and reversing samples [s].
         cutoff_hz: Low-pass of positions [Hz].
-        highest_hz: Frequency above which a diagnosis of quicker motion sees nothing either [Hz].
+        highest_hz: Frequency above which a diagnosis cannot detect causes, even with faster motion [Hz].
     """
 
     model: Model
@@ -86,7 +86,7 @@ class Setting:
 
     @classmethod
     def of(cls, diagnosis: Diagnosis) -> Setting:
-        """Read it off a diagnosis; noise is what its extended model leaves."""
+        """Read it from a diagnosis; the noise is the residual of its extended model."""
         prepared = diagnosis.preparation
         assert prepared is not None  # other channels have been refused
         rate, noise = estimate_output_noise(diagnosis.traces, diagnosis.extended.rms)
@@ -99,8 +99,8 @@ def estimate_output_noise(traces: Sequence[TimeTrace], rms: np.ndarray) -> tuple
     """Return a rate near 100 Hz and the noise of each output at it.
 
     Args:
-        traces: Colour is that of what the extended model leaves of them.
-        rms: Size of that residual (m,), from data that nothing of a reversal leaked into, as it does into traces.
+        traces: The residual of the extended model in them gives the spectrum of the noise.
+        rms: Rms of that residual (m,), from data that are not affected by reversals, unlike the traces.
     """
     rate = 1 / float(np.median(np.diff(traces[0].t)))
     factor = max(1, round(rate / RATE_HZ))
@@ -123,10 +123,10 @@ def estimate_output_noise(traces: Sequence[TimeTrace], rms: np.ndarray) -> tuple
 
 
 def flatten_noise_spectrum(noise: Autoregression) -> Autoregression:
-    """Return a noise whose density goes on above the low-pass as it is below it.
+    """Return a noise whose spectral density continues above the low-pass as it is below it.
 
-    The residual was low-passed near the end of its band, candidate columns are not: whitened by what the low-pass left there
-    they would seem to show almost anything.
+    The residual was low-passed near the end of its band, candidate columns are not: whitened by the small residual there, they
+    would seem to have far too much power.
     """
     f = np.linspace(0, 0.5, 2049)
     turn = np.exp(-2j * np.pi * np.outer(f, np.arange(1, len(noise.phi) + 1)))
@@ -220,7 +220,7 @@ _RANK = 1e-10  # ratio of eigenvalues; less is rounding
 
 @dataclass(frozen=True, eq=False)
 class SchurComplement:
-    """What is left of columns beside those refitted anyway: `G` (n, n), and the columns' own squares `raw` (n,)."""
+    """Gram matrix `G` (n, n) of the residuals of columns on the refitted ones, and the columns' own squares `raw` (n,)."""
 
     G: np.ndarray
     raw: np.ndarray
@@ -252,9 +252,9 @@ class AlternativeCause:
     columns: tuple[tuple[np.ndarray, ...], ...]
 
     def best(self, schur: SchurComplement, x: int) -> tuple[float, list[tuple[Effect, np.ndarray]]]:
-        """Return what the rival leaves of column x at its best settings, and which they are, with amplitudes.
+        """Return the residual square of column x on the alternative at its best settings, and these settings with amplitudes.
 
-        Groups are taken one by one, the one that explains most first; a joint belongs to one group only.
+        Groups are added one by one, the one that explains most first; a joint belongs to one group only.
         """
         chosen: list[tuple[Effect, np.ndarray]] = []
         open_groups = list(range(len(self.groups)))
@@ -286,7 +286,7 @@ class AlternativeCause:
 def compute_imitating_amplitudes(
     schur: SchurComplement, x: int, chosen: Sequence[tuple[Effect, np.ndarray]]
 ) -> Parameters:
-    """Return the values at which chosen effects imitate column x best; none is negative that must not be."""
+    """Return the values at which chosen effects imitate column x best, within their bounds at zero."""
     columns = np.concatenate([c for _, c in chosen])
     G = schur.G[np.ix_(columns, columns)]
     value = np.linalg.pinv(G, rcond=MIN_UNABSORBED_SHARE, hermitian=True) @ schur.G[columns, x]
