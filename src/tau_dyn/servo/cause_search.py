@@ -1,9 +1,9 @@
-"""Causes in the loop, tried one by one and taken in joint by joint: which entries of the law explain what is left.
+"""Search for causes in the loop, tested one by one and added joint by joint: the entries of the law that explain the residual.
 
-Every cause is fitted at all joints at once, with everything that is in already, because a joint's loop feels its own numbers
-alone. Its score is its number over that number's error from the scatter of blocks of time. The best one at each joint is
-taken in, in rounds; what a later one makes superfluous leaves again.
-Reference: Liang & Zeger 1986 (blocks); Efroymson 1960 (forward and backward selection).
+Every cause is fitted at all joints at once, together with all causes already added, because a joint's loop depends on its own
+parameters alone. Its score is its value divided by the value's standard error from the scatter of blocks of time. The best one
+at each joint is added, in rounds; causes that a later one makes superfluous are removed. Reference: Liang & Zeger 1986
+(blocks); Efroymson 1960 (forward and backward selection).
 """
 
 from __future__ import annotations
@@ -26,15 +26,16 @@ MIN_CHANGE = 0.05
 MIN_SHARE = 0.03
 """Share of a joint's residual variance that a cause takes off at least; less changes no simulation."""
 TWIN_SHARE = 0.95
-"""Share of what the best cause takes off from which another one is indistinguishable from it here."""
+"""Share of the best cause's reduction of the residual from which another cause is indistinguishable from it here."""
 APART = 9.0
-"""Likelihood ratio, twice its logarithm, from which one of two causes is told from the other: three standard errors."""
+"""Twice the log-likelihood ratio from which two causes are distinguished: three standard errors."""
 MAX_ROUNDS = 4  # causes at one joint; each takes off at least 3 %, and joints may wait for each other
 RIVAL_SHARE = 0.5
-"""Share of what the best cause takes off, or of the least that counts, from which another one may be the best."""
+"""Share of the best cause's reduction of the residual, or of the least significant one, from which another cause may be the
+best."""
 TOGETHER = 0.5
-"""Share of what the best cause takes off of its joint's residual from which other joints' causes are taken in with it. The rest
-wait, as what a joint misses shakes its neighbours."""
+"""Share of the best cause's reduction of its joint's residual from which other joints' causes are added with it. The rest wait,
+as the model error of a joint disturbs its neighbours."""
 WHITE_LAGS = 20  # samples over which residuals are compared
 _CHANCE = 4.0  # standard errors of an autocorrelation
 MAIN_SHARE = 0.5
@@ -123,9 +124,9 @@ def search_causes(data: LoopData, base: LoopFit, progress: Callable[[str], None]
 def check_steps(
     data: LoopData, base: LoopFit, search: LoopSearch, progress: Callable[[str], None]
 ) -> tuple[LoopFit, LoopSearch]:
-    """Return baseline and extended model fitted again to data with exact loads and steps.
+    """Return baseline and extended model, fitted again to data with exact loads and steps.
 
-    A cause that stood for an error of these is superfluous beside them.
+    A cause that compensated an error of loads or steps is superfluous with exact ones.
     """
     u, again, taken = search.unknowns, search.fit, dict(search.taken)
     if not taken:
@@ -135,7 +136,7 @@ def check_steps(
         again = refit_again(data.build_problem(u), search.fit, progress)
     u, again, _ = _drop_superfluous(data, u, again, taken, progress)
     for cause, j in sorted(taken, key=lambda place: taken[place][0]):
-        if sum(k == j for _, k in taken) > 1:  # what others leave of it may be less than what it took off without them
+        if sum(k == j for _, k in taken) > 1:  # with the others, it may explain less than without them
             found = _take_out(data, u, again, (cause, j), MIN_SHARE, progress)
             if found is not None:
                 u, again = found
@@ -145,9 +146,9 @@ def check_steps(
 
 
 def _refit_baseline(data: LoopData, base: LoopFit, search: LoopSearch, progress: Callable[[str], None]) -> LoopFit:
-    """Return the baseline's fit, again from its end and from the extended model's without causes: the one that leaves less.
+    """Return the baseline's fit, restarted at its end and at the extended model's without causes: the one of smaller residual.
 
-    A cause's gain is held against the best that can be had without it, not against the end of a search that was stuck.
+    A cause's gain is compared with the best fit without it, not with the end of a search that was stuck.
     """
     fine = refit_again(data.build_problem(), base, progress)
     if search.unknowns is data.unknowns:
@@ -158,10 +159,10 @@ def _refit_baseline(data: LoopData, base: LoopFit, search: LoopSearch, progress:
 
 
 def part_twins(data: LoopData, search: LoopSearch, progress: Callable[[str], None]) -> LoopSearch:
-    """Return the search with each cause that has twins replaced by the best of them, and the twins that stay as good as it.
+    """Return the search with each cause replaced by the best of its indistinguishable alternatives, and the other alternatives.
 
-    Two causes are told apart where the likelihood ratio of the joint's residual, whose samples count as far as they are
-    independent, is beyond three standard errors.
+    Two causes are distinguished if the likelihood ratio of the joint's residual, with the effective number of independent
+    samples, exceeds three standard errors.
     """
     for cause, j in list(search.taken):
         score, twins = search.taken[cause, j]
@@ -183,7 +184,7 @@ def part_twins(data: LoopData, search: LoopSearch, progress: Callable[[str], Non
         count = _count_independent(data, u, fit, j)
         ratio = {c: count * 2 * np.log(one.sigma[j] / fit.sigma[j]) for c, (_, one) in tried.items()}
         same = tuple(c for c in tried if c != best and ratio[c] < APART)
-        first = next(c for c in LOOP_CAUSES if c == best or c in same)  # the table begins with what is met most often
+        first = next(c for c in LOOP_CAUSES if c == best or c in same)  # the table begins with the most frequent causes
         best, same, (u, fit) = first, tuple(c for c in (best, *same) if c != first), tried[first]
         taken = {key: value for key, value in search.taken.items() if key != (cause, j)}
         search = LoopSearch(u, fit, {**taken, (best, j): (score, same)})
@@ -240,9 +241,9 @@ def _restart_springs(
     taken: dict[tuple[str, int], tuple[float, tuple[str, ...]]],
     progress: Callable[[str], None],
 ) -> tuple[LoopUnknowns, LoopFit] | None:
-    """Return a better solution for joints whose residual is coloured in spite of their spring, changing `taken`; None for none.
+    """Return a better solution for joints with a coloured residual in spite of their spring, or None; `taken` is changed.
 
-    A torque that comes late drives a spring, so that neither is found without the other.
+    A late torque excites a spring, so that neither is found without the other.
     """
     coloured = _find_coloured(data, u, fit)
     joints = [j for cause, j in taken if cause == SPRING and coloured[j]]
@@ -267,9 +268,9 @@ def _restart_springs(
 
 
 def _find_coloured(data: LoopData, u: LoopUnknowns, fit: LoopFit) -> np.ndarray:
-    """Return at which joints (na,) residuals a few samples apart are alike by the share that a cause takes off at least.
+    """Return the joints (na,) whose residuals are autocorrelated by at least the share that a cause explains.
 
-    What a cause moves is smooth or swings, so that a white residual holds none of it.
+    The effect of a cause is smooth or oscillates, so that a white residual contains no cause.
     """
     problem = data.build_problem(u)
     r = problem.residuals(fit.x[:, None])[:, :, 0]
@@ -286,7 +287,7 @@ def compute_share_wanted(samples: int) -> float:
 def _try_all(
     data: LoopData, u: LoopUnknowns, fit: LoopFit, coloured: np.ndarray, progress: Callable[[str], None]
 ) -> dict[str, TriedCause]:
-    """Return what causes do, those that may be the best at a joint (na,) with all sensitivities simulated anew."""
+    """Return the results of all causes; those that may be the best at a joint are repeated with all sensitivities simulated."""
     kept = data.build_problem(u).keep_inertial(fit.x)
     tried = {}
     for cause in LOOP_CAUSES:
@@ -312,7 +313,7 @@ def _try(
     starts: list[dict[str, np.ndarray]],
     kept: list[np.ndarray] | None = None,
 ) -> TriedCause | None:
-    """Return what a cause does at all joints that do not have it yet, refitted with everything else; None for no joint."""
+    """Return the result of a cause at all joints without it, refitted with everything else; None if all joints have it."""
     entry, na = LOOP_CAUSES[cause].entries[0], len(data.law.joints)
     there = u.free[u.kinds.index(entry)] if entry in u.kinds else np.zeros(na, bool)
     if there.all():
@@ -343,7 +344,7 @@ def _drop_superfluous(
     taken: dict[tuple[str, int], tuple[float, tuple[str, ...]]],
     progress: Callable[[str], None],
 ) -> tuple[LoopUnknowns, LoopFit, set[tuple[str, int]]]:
-    """Take out of `taken` what is not distinct from its null beside the others, and refit without it."""
+    """Remove from `taken` the causes that do not differ significantly from their null values, and refit without them."""
     dropped: set[tuple[str, int]] = set()
     needed: set[tuple[str, int]] = set()
     while True:
@@ -375,11 +376,11 @@ def _get_least_change(entry: str, null: np.ndarray) -> np.ndarray:
 
 
 def compute_limits(data: LoopData, base: LoopFit, cause: str) -> np.ndarray:
-    """Return the number (na,) that a cause must have at each joint to be found; infinite where these logs never show it.
+    """Return the value (na,) that a cause must have at each joint to be found; infinite where these logs cannot show it.
 
-    Its standard error beside the baseline's unknowns, of the sensitivities at its smallest start, with residuals as coloured
-    as the baseline's; times the threshold and what a power of 95 % asks for, and enough to colour the residual. A profile's
-    limit is found up to this number, zero where it never shows.
+    The value is its standard error next to the baseline's unknowns, from the sensitivities at its smallest start and residuals
+    as coloured as the baseline's, times the threshold plus the margin for a power of 95 %; it also has to be enough to colour
+    the residual. A profile's limit is found up to this value, which is zero if it never shows.
     """
     na = len(data.law.joints)
     start = list_starts(data, data.unknowns, base, cause)[-1 if cause == SPRING else 0]

@@ -1,7 +1,7 @@
 """The servo loops of `loop.py` as compiled code: the same equations, trial by trial, a hundred times faster.
 
-The source is C99, built once and kept (`codegen/compiler.py`). Where there is no compiler, or `TAU_DYN_COMPILE=0` says so,
-`loop.py` steps all trials at once in numpy; both agree to rounding.
+The source is C99, built once and kept (`codegen/compiler.py`). Without a compiler, or with `TAU_DYN_COMPILE=0`, `loop.py` steps
+all trials at once in numpy; both agree to rounding.
 """
 
 from __future__ import annotations
@@ -435,7 +435,7 @@ def run_compiled(
         def call(*where: int) -> int:
             try:
                 return coupling.settle(rows, *where)
-            except Exception as fault:  # noqa: BLE001  (what a callback raises would be lost)
+            except Exception as fault:  # noqa: BLE001  (an exception of a callback would be lost)
                 faults.append(fault)
                 return 1
 

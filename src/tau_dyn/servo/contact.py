@@ -1,8 +1,8 @@
-"""Contact of the tool with something below it: where the tip stays up although it is told to go down.
+"""Contact of the tool with an object below it: the tip stays up although it is commanded to go down.
 
-A servo without integral gives way to gravity, so the tip of a free arm hangs at or below its commanded height. A tip that rests
-at the lowest height of its log, well above its command, while elsewhere it does not, rests on something. These samples say
-nothing about the robot, and in a fit they make false friction at every joint that pushes.
+A servo without integral action yields to gravity, so the tip of a free arm hangs at or below its commanded height. A tip that
+rests at the lowest height of its log, well above its command, but only there, rests on an object. These samples hold no
+information about the robot, and in a fit they cause false friction at every joint that pushes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ LOWEST_BAND_M = 0.012
 MIN_DURATION_S = 0.15
 """Shortest rest on something [s]."""
 BEFORE_S, AFTER_S = 0.5, 1.0
-"""What is left out around a contact [s]: the approach, and until the loop has forgotten it."""
+"""Time left out around a contact [s]: the approach before it, and the transient of the loop after it."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Contact:
 def find_contacts(model: Model, records: Sequence[LoopRecord]) -> tuple[list[Contact], list[LoopRecord]]:
     """Return the contacts in logs, and the records without those samples.
 
-    What one log shows to be there is looked for in the others, where the tip rests on it too shortly to show it by itself.
+    An object found in one log is searched in the others, in which the tip may rest on it too briefly to show it.
     """
     if not model.robot.tool or any(r.told != "position" for r in records):
         return [], list(records)
@@ -91,7 +91,7 @@ def _measure_usual_gap(model: Model, record: LoopRecord) -> float:
 def _find_contact(model: Model, record: LoopRecord, usual: float, known: float) -> tuple[Contact | None, np.ndarray]:
     """Return a log's contact or None, and the mask of its samples to be left out (N,).
 
-    `usual` is the gap of a free tip, `known` the height of something there, infinite for none [m].
+    `usual` is the gap of a free tip, `known` the height of a known object, infinite without one [m].
     """
     nothing = np.zeros(len(record.t), dtype=bool)
     tip, gap, still = _measure_gap(model, record)

@@ -17,7 +17,7 @@ from tau_dyn.servo.waves import MAX_STEP_S, SPRING_STEP_S, Trials
 from tau_dyn.simulate import COMMANDS, ServoLaw
 
 BASELINE = ("armature", "coulomb", "viscous", "offset")
-"""What a simulation has before any cause, and is fitted first."""
+"""Entries of a simulation before any cause, which are fitted first."""
 _ITERATIONS = 6  # from a solution of nearly the same problem
 EXACT_STEP_S = 5e-4
 """Shortest step of exact motions [s]."""
@@ -27,14 +27,14 @@ by the square of it, so that this one is off by a hundredth of the residual."""
 STEP_RATIO = 4.0
 """Step of the fits over that of exact motions."""
 LARGE_RESIDUAL_RAD = 1.6e-3
-"""Median residual of the joints from which what a model misses outweighs the errors of long steps, of large differences and of
-loads along the measured motion."""
+"""Median residual of the joints from which model errors outweigh the errors of long steps, of large differences and of loads
+along the measured motion."""
 MAX_SETTLINGS = 14
 """Fits in turn against exact motions of the last one's solution; three are usual, ten of long chains."""
 LOADS_ANEW = 2
 """Such fits that take their loads along the last exact motions; later ones move too little for their sensitivities."""
 STILL_FALLING = 0.05
-"""Share by which a joint's residual changed in the last such fit, from which later ones take their loads anew, too."""
+"""Relative change of a joint's residual in the last such fit, from which later ones recompute their loads, too."""
 MAX_JOINT_SECONDS = 1500.0
 """Unknowns times joints times seconds of logs up to which springs are fitted with sensitivities of all joints: minutes."""
 SEARCH_S = 150.0
@@ -56,7 +56,7 @@ class ExactMotions(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LoopData:
-    """Everything that a fit starts from.
+    """All data from which a fit starts.
 
     Attributes:
         model: Robot and friction, at start values.
@@ -64,10 +64,10 @@ class LoopData:
         space: Inertial numbers, with the directions that are unknowns.
         records: Training logs.
         loads: Loads along them.
-        unknowns: What may change.
-        settled: Exact motions at one solution, by which a problem is corrected; None before a first fit.
-        whole: Whether logs are simulated from start to end rather than in pieces: behind a spring no measured position
-            tells the state that a piece would begin with, and a loop without a position's error never forgets it.
+        unknowns: The unknowns of the fit.
+        settled: Exact motions at one solution, with which a problem is corrected; None before a first fit.
+        whole: Whether logs are simulated from start to end rather than in pieces: behind a spring no measured position gives
+            the initial state of a piece, and a loop without a position error never forgets it.
         step: Longest step of the simulated loops [s].
     """
 
@@ -178,19 +178,19 @@ class CoupledProblem(LoopProblem):
 
 
 class Mixing:
-    """Solutions of a search for what a map leaves in place, mixed into its next point as if the map were linear.
+    """Anderson mixing: iterates of a search for a fixed point of a map, combined into the next point as if the map were linear.
 
-    Joints of a long chain answer each other for many fits; what one search learns of that holds for the next.
+    Joints of a long chain influence each other over many fits; the slopes found in one search are valid for the next.
     Reference: Anderson 1965; Walker & Ni 2011.
     """
 
     def __init__(self) -> None:
-        """Know nothing."""
+        """Start without iterates."""
         self._gaps: list[np.ndarray] = []
         self._ways: list[np.ndarray] = []
 
     def mix(self, points: Sequence[np.ndarray], answers: Sequence[np.ndarray], scale: np.ndarray) -> np.ndarray:
-        """Return the next point (n,) after the last ones (n,) and what the map made of them, in units of a scale (n,)."""
+        """Return the next point (n,) after the last ones (n,) and their images under the map, in units of a scale (n,)."""
         gap = answers[-1] - points[-1]
         if len(points) > 1:
             self._gaps = [*self._gaps[1 - MIXED :], gap - (answers[-2] - points[-2])]
@@ -203,7 +203,7 @@ class Mixing:
 
 
 def is_large(fit: LoopFit) -> bool:
-    """Return whether what a model misses outweighs the errors of long steps, large differences and measured loads."""
+    """Return whether model errors outweigh the errors of long steps, large differences and measured loads."""
     return float(np.median(fit.sigma)) > LARGE_RESIDUAL_RAD
 
 
@@ -216,12 +216,12 @@ def fit_coupled(
 ) -> tuple[LoopData, LoopFit]:
     """Return the data and the end of a search whose loads and steps are exact where it ends (defect correction).
 
-    The first fit, unless one is given, takes what joints do to each other along the measured motion, whose accelerations
-    are filtered and noisy. Each next one adds what finer steps, and loads along the motion that the last one simulates, change
-    there. Where a model misses much more than that, the first fit is the last, except of springs: accelerations of a link that
-    swings are what filters miss. Two such fits follow there, and they are kept where every joint's residual is less. Links on
-    springs shake each other, so that a last fit (Gauss-Newton) takes sensitivities of all joints.
-    Reference: Stetter 1978.
+    The first fit, unless one is given, takes the loads between joints along the measured motion, whose accelerations are
+    filtered and noisy. Each following fit adds the corrections from finer steps and from loads along the motion that the last
+    one simulates. If model errors are much larger than these corrections, the first fit is the last, except with springs:
+    filters remove the accelerations of an oscillating link. Two such fits follow in that case, and they are kept if every
+    joint's residual is smaller. Links on springs excite each other, so that a last fit (Gauss-Newton) takes sensitivities of
+    all joints. Reference: Stetter 1978.
     """
     last = None
     if fit is None:

@@ -1,9 +1,9 @@
-"""What a servo loop's simulation misses, and why: causes that act in the loop, tested on positions.
+"""Errors of a servo loop's simulation and their causes in the loop, tested on positions.
 
-    logs -> baseline -> causes (`cause_search.py`) -> confirmed -> gain -> what is left (`residual_structure.py`)
+    logs -> baseline -> causes (`cause_search.py`) -> confirmed -> gain -> residual (`residual_structure.py`)
 
-A cause is confirmed where held-out positions move with the effect that it predicts, and its gain is measured on data used
-for nothing else. Both use the models as fitted to the search's data alone.
+A cause is confirmed if held-out positions show the effect that it predicts, and its gain is measured on test data that serve no
+other purpose. Both use the models fitted to the search's data alone.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ def diagnose_loop(
     interval = _compare(before, after, seed)
     foreign = [] if parts.same_logs else _find_foreign(law.joints, search.fit, after.rms)
     choice, why = _recommend(law.joints, findings, (nominal, before, after), interval, foreign, seed)
-    floor = np.minimum(compute_noise_floor([*given.kept, *given.others]), after.rms)  # what is reached is no floor
+    floor = np.minimum(compute_noise_floor([*given.kept, *given.others]), after.rms)  # never above the residual
     train, confirm = (
         _predict(one, search.unknowns, search.fit.x, records)
         for one, records in ((data, parts.train), (held, parts.confirm))
@@ -182,7 +182,7 @@ def diagnose_loop(
 
 
 def _list_aliased(findings: Sequence[Finding]) -> Sequence[Finding]:
-    """Return the findings if none is confirmed and each one has an indistinguishable cause: the data cannot tell."""
+    """Return the findings if all are unconfirmed and each has an indistinguishable cause: the data cannot separate them."""
     open_ = all(f.indistinguishable_from and f.status != "confirmed" for f in findings)
     return findings if open_ else ()
 
@@ -259,7 +259,7 @@ def _regress_on(effect: np.ndarray, residual: np.ndarray, blocks: np.ndarray) ->
 
 
 def _hold_nominal(data: LoopData) -> LoopUnknowns:
-    """Return unknowns of which none is free, at the model's and the law's own values."""
+    """Return fixed unknowns at the model's and the law's own values."""
     u, p, joints = data.unknowns, data.model.parameters, data.law.joints
     values = {key: np.array(value) for key, value in {**u.values, **data.law.values}.items()}
     for kind in BASELINE:
@@ -274,7 +274,7 @@ def _predict(data: LoopData, u: LoopUnknowns, x: np.ndarray, records: Sequence[L
 
 
 def _confirm(data: LoopData, search: LoopSearch, parts: _Parts, seed: int) -> list[Finding]:
-    """Return the causes taken in, each confirmed or suspected by what it predicts on data that the search did not see."""
+    """Return the causes of the search, each confirmed or suspected by its prediction on data that the search did not use."""
     findings, u, fit = [], search.unknowns, search.fit
     where = np.full(u.free.shape, -1)
     where[u.free] = np.arange(int(u.free.sum()))
@@ -378,7 +378,7 @@ def _recommend(
 def _list_limits(
     data: LoopData, base: LoopFit, findings: Sequence[Finding]
 ) -> tuple[tuple[Limit, ...], tuple[Untestable, ...]]:
-    """Return what would have been found of the causes that were not, and what these logs cannot show."""
+    """Return the detection limits of the causes that were not found, and the causes that these logs cannot show."""
     limits, untestable = [], []
     for cause, row in LOOP_CAUSES.items():
         entry = row.entries[0]

@@ -1,4 +1,4 @@
-"""What is doubtful about an identification through the closed loop, in sentences with codes."""
+"""Warnings about an identification through the closed loop, as sentences with codes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from tau_dyn.servo.fit import LoopFit
 
 BEYOND = 1.3
-"""Acceleration of held-out logs over that of all training logs from which a prediction leaves what was learnt."""
+"""Acceleration of held-out logs over that of all training logs from which a prediction extrapolates."""
 SUSTAINED = 90.0
 """Per cent of a log's samples below the acceleration that counts: single steps are no motion that was learnt."""
 MIN_DROOP_RAD = 0.03

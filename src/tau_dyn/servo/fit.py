@@ -30,15 +30,15 @@ FINE_DIFFERENCES = 0.05
 """Steps of differences near a solution, over those that friction cannot hide far from one: large ones end a search too soon
 where gains are high and encoders fine."""
 
-_LAMBDAS = (1e-2, 3e-1, 1e1)  # damping factors that are tried side by side
+_LAMBDAS = (1e-2, 3e-1, 1e1)  # damping factors that are tried in parallel
 
 MAX_CONTRAST = 2.0
-"""Factor within which a log's residual may be weighed other than its joint's usual one: what no model explains in one log
-(a contact, a shaken joint) must not decide about the others."""
+"""Factor within which the weight of a log's residual may differ from its joint's usual one: an error of one log that no model
+explains (a contact, a shaken joint) must not determine the fit of the others."""
 
 BLOCK_S = (1.0, 5.0)
 """Shortest and longest blocks over which the gradient's scatter is taken [s]: an encoder's rounding lasts as long as a joint
-rests, a second where steps are commanded, and what a model misses is forgotten within the longest."""
+rests, a second where steps are commanded, and model errors are uncorrelated beyond the longest."""
 
 BLOCKS = 100
 """Blocks that are wanted: several for each unknown of a joint, or the scatter among them comes out too small."""
@@ -50,7 +50,8 @@ CONVERGED = 0.01
 decrement)."""
 
 MANY = 2
-"""Inertial unknowns over kinds of others from which trials keep what is known of them: simulating them is most of the work."""
+"""Ratio of inertial unknowns to kinds of other unknowns from which trials reuse sensitivities to the inertial ones: simulating
+them is most of the work."""
 
 MAX_ELEMENTS = 6_000_000
 """Positions that are simulated at once, 48 MB of them."""
@@ -135,7 +136,7 @@ class LoopProblem:
         )
 
     def with_inertial(self, kept: list[np.ndarray] | None) -> LoopProblem:
-        """Return the problem with sensitivities to inertial unknowns that are not simulated anew."""
+        """Return the problem with sensitivities to inertial unknowns that are not simulated again."""
         other = copy(self)
         other.inertial = kept
         return other
@@ -291,23 +292,23 @@ def fit_loop(
 
 
 class LoopPrior:
-    """What a fit pays for its unknowns: squares from their start, and the divergence of bodies from the file's."""
+    """Prior cost of the unknowns of a fit: squared distances from their start, and the divergence of bodies from the file's."""
 
     def __init__(self, u: LoopUnknowns) -> None:
-        """Take the start of the unknowns, and what is known of them before."""
+        """Take the start of the unknowns, and their prior."""
         self.unknowns, self.start = u, u.pack()
         self._precision = np.append(u.prior[u.free] ** -2.0, np.ones(u.space.n_unknowns))
         self._z = slice(u.n - u.space.n_unknowns, u.n)
 
     def enter(self, x: np.ndarray) -> np.ndarray:
-        """Return a vector (n,) whose bodies exist: itself, or as far on the way from the file's."""
+        """Return a vector (n,) with consistent bodies: itself, or the farthest one on the line from the file's values."""
         z = x[self._z]
         if not len(z) or self.unknowns.space.bodies.find(z) is not None:
             return x
         return np.append(x[: self._z.start], self.unknowns.space.bodies.limit(np.zeros(len(z)), z) * z)
 
     def compute_cost(self, x: np.ndarray) -> float:
-        """Return what a vector (n,) costs; infinite where a body cannot exist."""
+        """Return the cost of a vector (n,); infinite if a body is inconsistent."""
         found = self.unknowns.space.bodies.find(x[self._z]) if self._z.start < len(x) else None
         if found is None and self._z.start < len(x):
             return np.inf
@@ -323,22 +324,22 @@ class LoopPrior:
         return H, g
 
     def limit(self, x: np.ndarray, step: np.ndarray) -> float:
-        """Return the part of a step (n,) that keeps every body."""
+        """Return the part of a step (n,) that keeps every body consistent."""
         return self.unknowns.space.bodies.limit(x[self._z], step[self._z]) if self._z.start < len(x) else 1.0
 
 
 class _Linearised(NamedTuple):
-    """A problem about one vector.
+    """A problem linearised about one vector.
 
     Attributes:
-        residual: (N, na, S) [rad].
+        residual: Residuals (N, na, S) [rad].
         H: Normal matrix, with the prior's (n, n).
         g: Right side, with the prior's (n,).
-        scatter: Of the gradient over blocks, with the prior's (n, n).
+        scatter: Covariance of the gradient over blocks, with the prior's (n, n).
         sigma: Residual rms of each joint (na,) [rad].
         weight: Inverse variance of residuals (na, S).
-        worth: Samples that an independent one is worth (na,).
-        own: Whether the sensitivities are of this vector, rather than of one nearby.
+        worth: Number of samples per independent one (na,).
+        own: Whether the sensitivities belong to this vector, rather than to one nearby.
     """
 
     residual: np.ndarray

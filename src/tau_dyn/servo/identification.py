@@ -2,8 +2,8 @@
 
     robot, law, logs -> Records -> contact left out -> screen (equation error) -> directions -> output error -> errors
 
-Masses and friction scale with the law's torque. Where no law is given, the gains are estimated, and the robot file's
-masses, or a weighed one, set the scale; the answer says so.
+Masses and friction scale with the law's torque. If no law is given, the gains are estimated, and the robot file's masses, or a
+weighed one, set the scale; the result states this.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def _build_result(
 
 
 def _list_joint_rows(data: LoopData, fit: LoopFit, values: Mapping[str, np.ndarray]) -> list[LoopParameter]:
-    """Return what was estimated at joints, joint by joint."""
+    """Return the estimated parameters of joints, joint by joint."""
     u, sigma = data.unknowns, np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     where = np.full(u.free.shape, -1)
     where[u.free] = np.arange(int(u.free.sum()))
@@ -159,7 +159,7 @@ def _list_body_rows(
     space, m = data.space, data.unknowns.n - data.space.n_unknowns
     parameters = data.model.robot.parameters
     D, cov = space.directions, fit.covariance[m:, m:]
-    total = D @ cov @ D.T + np.diag(space.prior**2) - D @ D.T  # what the logs do not inform on keeps its prior
+    total = D @ cov @ D.T + np.diag(space.prior**2) - D @ D.T  # directions without information keep their prior
     free = [k for k, p in enumerate(parameters) if space.prior[k] > 0 and not p.name.endswith(".armature")]
     if not free:
         return [], ()

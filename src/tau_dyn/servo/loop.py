@@ -2,10 +2,11 @@
 
     (I(t) + armature) v' + load(t) + G(t) (q - q_along) + friction = tau(law, command, q, v)
 
-What the rest of the robot does to a joint (gravity, Coriolis and the other joints' accelerations) is a load taken along a
-motion close to the simulated one; its own gravity is linearised about that motion. The exact simulation of the coupled robot
-takes them along the simulated motion itself, window by window in turn until nothing changes (waveform relaxation). A step then
-holds all joints (projected Gauss-Seidel): a change of any speed or position pushes the others, by mass matrix and gravity slopes.
+The effect of the rest of the robot on a joint (gravity, Coriolis and the other joints' accelerations) is a load, evaluated
+along a motion close to the simulated one; the joint's own gravity is linearised about that motion. The exact simulation of the
+coupled robot evaluates loads along the simulated motion itself, repeated window by window until convergence (waveform
+relaxation). A step then holds all joints (projected Gauss-Seidel): a change of any speed or position pushes the others, by mass
+matrix and gravity slopes.
 
 One step of h by the trapezoidal rule, linearly implicit in the motor's damping d and the viscous one b, with torque and
 load at the middle of the step and friction f that holds exactly (a box complementarity problem of one unknown):
@@ -13,7 +14,7 @@ load at the middle of the step and friction f that holds exactly (a box compleme
     w = (I / h + (d - b) / 2) v + tau - load,   f = clip(w, -F, F),   v+ = (w - f) / (I / h + (d + b) / 2),
     q+ = q + h (v + v+) / 2.
 
-Where v would change its sign, the step is parted at rest, so that a small change of a parameter moves a stop by little.
+If v would change its sign, the step is divided at rest, so that a small change of a parameter moves a stop by little.
 
 With a spring between motor (w, its armature B, the friction) and link (v, I), the twist's own motion is taken exactly over
 the step (`solve_spring`) and its centre of mass by the rule above; friction then sees the mobility of the pair. A play opens
@@ -45,7 +46,7 @@ MIN_INERTIA = 1e-6
 BEND = 0.02
 """Share of the supply below which a bent drive law is straight, so that its slope stays finite."""
 SETTLED_SPEED = 1e-9
-"""Change of speeds from which a step of coupled joints has settled [rad/s]: a hundred thousandth of what an encoder shows."""
+"""Change of speeds below which a step of coupled joints has converged [rad/s]: 1e-5 of an encoder's resolution."""
 MAX_STEP_SWEEPS = 200
 """Sweeps over the joints of such a step (projected Gauss-Seidel), at most."""
 CONTACT_TURN = 3.0
@@ -103,11 +104,11 @@ def _simulate_in_numpy(waves: Waves, trials: Trials, often: int) -> np.ndarray:
 
 
 _OPTIONAL = ("dead_band", "supply_sag", "load_friction", "carried_friction", "stiction")
-"""Entries that cost nothing where no trial has them."""
+"""Entries that take no computing time unless a trial has them."""
 
 
 class _Sample(NamedTuple):
-    """What holds from one sample to the next: arrays that fit (na, C, S)."""
+    """Quantities that hold from one sample to the next: arrays that broadcast to (na, C, S)."""
 
     mass_h: np.ndarray
     supply: np.ndarray
@@ -123,7 +124,7 @@ class _Loops:
     """Servo loops and their state."""
 
     def __init__(self, waves: Waves, trials: Trials, often: int, out: np.ndarray, rows: LoadRows | None = None) -> None:
-        """Start at the first sample; what is stepped goes to `out` (3, N, na, C, S)."""
+        """Start at the first sample; the simulated states are written to `out` (3, N, na, C, S)."""
         self._waves, self._often, self._out, self._rows = waves, often, out, rows
         shape, p = out.shape[2:], {key: value[:, :, None] for key, value in trials.values.items()}
         self._p = p = p | {key: value[:, None, :] for key, value in waves.by_log.items()}
@@ -160,7 +161,7 @@ class _Loops:
     def _follow_law(
         self, goal: np.ndarray, seen: np.ndarray, speed: np.ndarray, integral: np.ndarray, before: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray, np.ndarray]:
-        """Return the law's output, its slope by the speed (None where none acts at once), the integral and the last speed."""
+        """Return the law's output, its slope by the speed (None without an immediate effect), the integral and the last speed."""
         p, h, told = self._p, self._h, self._waves.told
         half, e, u = 0.5 * h, goal, goal
         if told not in ("position", "speed"):
@@ -215,7 +216,7 @@ class _Loops:
         half = 0.5 * h
         seen, speed = (m, w) if waves.encoder_on_motor else (q, v)
         u, slow, integral, before = self._follow_law(goal.at(k * self._often + i), seen, speed, integral, before)
-        loses = p["back_emf"]  # what the motor's torque loses per unit of its speed
+        loses = p["back_emf"]  # loss of the motor's torque per unit of its speed
         if slow is not None:
             loses = loses + np.where((np.abs(u) < p["limit"]) & (p["torque_delay"] == 0), sample.supply * slow, 0.0)
         u = np.minimum(np.maximum(u, -p["limit"]), p["limit"])
@@ -350,9 +351,9 @@ def solve_spring(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a and S of a step `S rate+ = a S rate - stiffness twist + force`, `twist+ = twist + h (rate + rate+) / 2`.
 
-    Its two eigenvalues are those of `mu twist'' + damping twist' + stiffness twist = 0` over h, exactly, and a constant
-    force twists by force / stiffness. Where the step turns by more than one radian, damping is added, so that what the
-    step cannot show fades.
+    Its two eigenvalues are those of `mu twist'' + damping twist' + stiffness twist = 0` over h, exactly, and a constant force
+    twists by force / stiffness. If the step turns by more than one radian, damping is added, so that oscillations that the step
+    cannot resolve decay.
     """
     square, sigma = stiffness / mu * h**2, 0.5 * damping / mu * h
     late = sigma + np.maximum(0.0, np.sqrt(square) - 1.0)
@@ -375,7 +376,7 @@ class _Delay:
         self._past: list[np.ndarray] = []
 
     def pass_on(self, u: np.ndarray) -> np.ndarray:
-        """Take in what the law says now, and return what the motor does."""
+        """Store the law's present output, and return the motor's delayed one."""
         if not np.any(self._late):
             return u
         keep = int(self._whole.max()) + 2

@@ -1,7 +1,7 @@
-"""Positions of a coupled robot from commands alone: servo loops whose loads are taken along the simulated motion itself.
+"""Positions of a coupled robot from commands alone: servo loops whose loads are evaluated along the simulated motion itself.
 
-Window by window, loads are taken along a motion, the loops are simulated, the loads are taken along the result, until nothing
-moves (waveform relaxation). Where it ends does not depend on where it began: with the measured motion, where there is one.
+Window by window, loads are evaluated along a motion, the loops are simulated, and the loads are evaluated along the result,
+until convergence (waveform relaxation). The result does not depend on the first motion, which is the measured one if available.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ SETTLED_RAD = 1e-5
 sweep would change a tenth of it."""
 
 UNSETTLED_RAD = 1e-4
-"""Change of positions after the last sweep from which a window is told as not settled [rad]: a tenth of an encoder's step."""
+"""Change of positions after the last sweep from which a window is reported as not converged [rad]: a tenth of an encoder's
+step."""
 
 
 class SimulatedMotion(NamedTuple):
@@ -205,7 +206,7 @@ class _Relaxation:
         if not np.isfinite(rows.motion[:, part, :, log]).all():
             self.unsettled.setdefault(log, begin)
             return 1  # trial values that no step can follow
-        if not turn:  # loads hold what the matrices of the first motion do not
+        if not turn:  # loads contain the terms that the matrices of the first motion lack
             fill_coupled_matrices(self.mechanism, rows, log, part, self.every)
         fill_coupled_loads(self.mechanism, rows, log, part, self.every, self.dt[log])
         return 0

@@ -1,12 +1,12 @@
-"""A robot, logs of commands and positions, and what is said of them -> what a fit through the loop starts from.
+"""A robot, logs of commands and positions, and options -> the data from which a fit through the loop starts.
 
     Records -> contact left out -> screen (equation error) -> directions of the bodies' numbers -> unknowns at their start
 
 `identify_loop` and `diagnose_loop` share it, and their options.
 
-Equation error, a screen and a start: the torque that the law makes of command and position against the robot's own.
+Equation error, a screen and a start: the torque that the law computes from command and position minus the robot's own.
 
-Where the servo saturates or its law is incomplete it is biased, so that output error follows (`fit.py`).
+If the servo saturates or its law is incomplete, it is biased; therefore output error follows (`fit.py`).
 Reference: Ljung 1999, 7.2.
 """
 
@@ -35,17 +35,17 @@ from tau_dyn.servo.waves import MAX_STEP_S, SPRING_STEP_S
 from tau_dyn.simulate import COMMANDS, SERVO_ENTRIES, ServoLaw
 
 DELAYS_S = np.arange(0.0, 0.0601, 0.0025)
-"""Command delays that the screen tries [s]: none to three periods of a 50 Hz bus."""
+"""Command delays that the screen tries [s]: from zero to three periods of a 50 Hz bus."""
 
 MOVING = 0.03
-"""Speed from which a joint's friction has a direction [rad/s]: twice what a step of a 12 bit encoder makes at 20 ms."""
+"""Speed from which a joint's friction has a direction [rad/s]: twice the speed of one step of a 12 bit encoder in 20 ms."""
 
 MAX_DIRECTIONS = 40
 """Directions of the inertial numbers that are estimated at most; an arm of six joints has some 36."""
 
 MIN_INFORMATION = 1e-5
-"""Information of a direction, with prior knowledge as 1, from which it is estimated. It is small: what a log hardly
-shows may stand for something else, as gravity at a joint that barely turns for a constant torque."""
+"""Information of a direction, with prior knowledge as 1, from which it is estimated. It is small: a quantity that a log hardly
+shows may compensate another one, as gravity at a joint that barely turns a constant torque."""
 
 INFORMATION_S = 0.02
 """Time between the samples that directions are chosen by [s]: a fourth of a period of the motion's low-pass."""
@@ -53,7 +53,7 @@ INFORMATION_S = 0.02
 
 @dataclass(frozen=True, eq=False)
 class EquationError:
-    """The screen: what the rebuilt torque says.
+    """The screen: start values from the torque of the law.
 
     Attributes:
         values: Start values of kinds (na,).
@@ -193,7 +193,7 @@ def choose_directions(space: InertialSpace, records: Sequence[LoopRecord], scree
 
 
 ALWAYS = ("armature", "command_delay")
-"""What is estimated of every joint beside friction, unless the law or `--fix` gives it."""
+"""Entries estimated for every joint in addition to friction, unless the law or `--fix` gives them."""
 MIN_SECONDS = 5.0
 """Shortest data that a loop is identified from [s]: some ten time constants of a servo."""
 
@@ -201,16 +201,16 @@ Progress = Callable[[str], None]
 
 
 class LoopOptions(TypedDict, total=False):
-    """What may be said to `identify_loop` and `diagnose_loop`; everything may be left out.
+    """Options of `identify_loop` and `diagnose_loop`; all are optional.
 
     Attributes:
         law: The servo's law; None to estimate its gains.
-        holdout: Logs to judge on; without any, the last 30 % of each log, predicted by a fit of the first 70 %, or, of a
-            diagnosis, blocks of the logs.
+        holdout: Held-out logs for evaluation; by default the last 30 % of each log, predicted by a fit of the first 70 %, or
+            blocks of the logs for a diagnosis.
         model: `rigid` for no friction; any other name for friction that is the same in both directions.
-        choices: What is fixed, free, bounded or measured beforehand; servo entries by `JOINT.entry`, too.
+        choices: Parameters that are fixed, free, bounded or measured beforehand; servo entries by `JOINT.entry`, too.
         exclude: Log columns whose nonzero samples are left out.
-        seed: Seed of whatever is random: the structural study, the bootstrap.
+        seed: Seed of all random steps: the structural study, the bootstrap.
         progress: Called with a word for each step.
     """
 
@@ -225,7 +225,7 @@ class LoopOptions(TypedDict, total=False):
 
 @dataclass(frozen=True, eq=False)
 class LoopLogs:
-    """Logs on even clocks, free of contact, and what was said of them.
+    """Logs on even clocks, free of contact, with the options given for them.
 
     Attributes:
         model: Robot and friction, at start values.
@@ -235,10 +235,10 @@ class LoopLogs:
         kept: Records of the training logs.
         others: Records of the held-out logs.
         contacts: Where the tool rested on something.
-        own: What was said of servo entries.
-        friction: Name of the friction model; empty for that of a model given.
-        warnings: What is doubtful of the logs.
-        seed: Seed of whatever is random.
+        own: Choices for servo entries.
+        friction: Name of the friction model; empty for that of a given model.
+        warnings: Warnings about the logs.
+        seed: Seed of all random steps.
         progress: Called with a word for each step.
     """
 
@@ -295,7 +295,7 @@ def read_loop_logs(robot: Robot, logs: Log | Recording | Iterable[Log | Recordin
 
 
 def prepare_loop(given: LoopLogs, records: Sequence[LoopRecord]) -> LoopData:
-    """Return what a fit of some records starts from: the screen's values, and the inertial directions that they inform on."""
+    """Return the start of a fit of some records: the screen's values, and the inertial directions that they inform on."""
     model, law, space = given.model, given.law, InertialSpace.of(given.model)
     given.progress("equation error")
     estimate_gain = "position_gain" in law.estimated and not np.any(law.values["speed_gain"])
@@ -350,7 +350,7 @@ def _build_unknowns(
 
 
 def _apply_own(unknowns: LoopUnknowns, own: Choices, joints: tuple[str, ...]) -> LoopUnknowns:
-    """Return the unknowns with what was said about servo entries by name or pattern."""
+    """Return the unknowns with the choices for servo entries, by name or pattern, applied."""
     values = {key: np.array(value) for key, value in unknowns.values.items()}
     free, lower, upper, prior = (np.array(x) for x in (unknowns.free, unknowns.lower, unknowns.upper, unknowns.prior))
     kinds = unknowns.kinds
@@ -378,7 +378,7 @@ def _match(pattern: str, joints: tuple[str, ...]) -> list[tuple[str, int]]:
 
 
 def _split_choices(choices: Choices, robot: Robot) -> tuple[Choices, Choices]:
-    """Return what was said of servo entries, and of everything else."""
+    """Return the choices for servo entries, and all other choices."""
 
     def is_own(text: str) -> bool:
         return bool(_match(text.partition("=")[0], robot.actuated))
@@ -391,14 +391,14 @@ def _split_choices(choices: Choices, robot: Robot) -> tuple[Choices, Choices]:
 
 
 def _build_start(robot: Robot, friction: str) -> Model:
-    """Return the model with friction that is the same in both directions, or none where it is `rigid`."""
+    """Return the model with friction that is the same in both directions, or without friction if it is `rigid`."""
     return Model.of(
         robot, build_friction_model("rigid" if friction == "rigid" else "symmetric", robot.actuated, robot.force_units)
     )
 
 
 def _guess_law(robot: Robot) -> ServoLaw:
-    """Return a law of which nothing is known but that torque grows with the position error."""
+    """Return a law with the only assumption that torque grows with the position error."""
     law = ServoLaw.of(robot.actuated, given=False, position_gain=5.0, force_per_unit=1.0, limit=np.inf)
     return replace(law, estimated=frozenset({"position_gain"}))
 
@@ -414,7 +414,7 @@ def _require_in_memory(logs: Sequence[Log | Recording]) -> list[Log]:
 
 
 def _refuse_stillness(records: Sequence[LoopRecord]) -> None:
-    """Refuse logs that are too short or in which nothing moves."""
+    """Reject logs that are too short or in which no joint moves."""
     seconds = sum(float(r.used.sum()) * r.dt for r in records)
     if seconds < MIN_SECONDS:
         raise CannotAnswer(

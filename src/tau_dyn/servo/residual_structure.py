@@ -1,9 +1,9 @@
-"""The residual of the extended loop as measurements for the judge: the encoders' floor, structure, and colour above the floor.
+"""The residual of the extended loop as measurements for the judge: encoder floor, structure, and correlation above the floor.
 
-Structure is found, confirmed and tested as in the residual of forces (`evidence/unexplained.py`). The variables are
-position, speed, acceleration and position error of each joint, and time. Encoders set a floor that forces do not have: the
-white part of the measured positions, rounding included. A residual that is far above it and coloured is reported as well, if it
-depends on none of the variables.
+Structure is found, confirmed and tested as in the residual of forces (`evidence/unexplained.py`). The variables are position,
+speed, acceleration and position error of each joint, and time. Encoders set a floor that forces do not have: the white part of
+the measured positions, rounding included. A residual that is far above it and coloured is reported as well, if it does not
+depend on any of the variables.
 """
 
 from __future__ import annotations
