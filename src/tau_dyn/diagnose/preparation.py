@@ -6,9 +6,9 @@ exceeds that noise.
 
 A fit of late forces mistakes a part of the delay for viscous friction and for masses: `m a(t - d)` contains `m w^2 d v`, which
 at 60 ms and 1 Hz exceeds the friction of many joints, and its residual resembles springs and hysteresis. So the delay `d` and
-the time constant `T` of each output are profiled (variable projection, Golub & Pereyra 1973): forces are moved back, `y(t + d)
-+ T y'(t + d)`, the baseline is refitted, and the values at the best `d` and `T` predict the force that effects of the recording
-act on.
+the time constant `T` of each output are profiled (variable projection, Golub & Pereyra 1973). Forces are shifted back,
+`y(t + d) + T y'(t + d)`, the baseline is refitted, and the values at the best `d` and `T` predict the force that effects of the
+recording act on.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Which effects exist: those of this package in the contract's order, and those that a program adds from outside by `register`.
+"""List of all effects: those of this package in the contract's order, and those that a program adds by `register`.
 
     @tau_dyn.effects.register
     class Bellows(JointwiseEffect): ...
 
-From then on model files, effect files, `simulate` and `diagnose` know it by its name, as they know ours. Nothing is searched for
-and no file is run by itself: a program that loads a model with an effect of its own imports the module that registers it first.
+Model files, effect files, `simulate` and `diagnose` then know it by its name, like the built-in effects. No module is searched
+for or run automatically: a program that loads a model with its own effect imports the module that registers it first.
 """
 
 from __future__ import annotations
@@ -57,13 +57,13 @@ E = TypeVar("E", bound=type[Effect])
 
 
 def register(effect: E) -> E:
-    """Make an effect known by its name, and return it, so that it serves as a decorator.
+    """Register an effect under its name, and return it, so that the function can be used as a decorator.
 
-    A class of your own may come again under its name, as it does where a notebook's cell is run twice; the last one counts.
+    A user's class may be registered again under its name, as when a notebook's cell is run twice; the last one is used.
 
     Raises:
-        InputError: It is no effect that can be built, its name is no name or another effect's, or it is a cause and does not say
-            by which equation it acts and which motion reveals it.
+        InputError: It is not an effect that can be built, its name is invalid or another effect's, or it is a cause without the
+            equation of its force or the motion that reveals it.
     """
     name = getattr(effect, "name", None)
     if not (isinstance(effect, type) and issubclass(effect, Effect)) or isabstract(effect):
@@ -120,10 +120,10 @@ FRICTION_MODELS: dict[str, tuple[type[Effect], ...]] = {
 
 
 def build_friction_model(name: str, joints: Iterable[str], units: Iterable[str]) -> tuple[Effect, ...]:
-    """Return the effects that a friction model's name stands for, acting on these joints.
+    """Return the effects that a friction model's name denotes, acting on these joints.
 
     Raises:
-        UnknownName: The name is none of rigid, symmetric, asymmetric.
+        UnknownName: The name is not `rigid`, `symmetric` or `asymmetric`.
     """
     if name not in FRICTION_MODELS:
         raise UnknownName("friction model", name, FRICTION_MODELS)
@@ -178,7 +178,7 @@ def _read_effect(row: object, robot: Robot, where: str) -> Effect:
 
 
 def acts_on_recording(effect: Effect) -> bool:
-    """Return whether an effect only distorts what is recorded, as a late force does; the robot moves as without it."""
+    """Return whether an effect only distorts the recording, as a late force does, and does not change the robot's motion."""
     return effect.measured or (isinstance(effect, DisplacementEffect) and not isinstance(effect, Hysteresis))
 
 

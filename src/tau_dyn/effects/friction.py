@@ -1,12 +1,12 @@
 """Friction of the drives as a law of the joint's own speed: Coulomb and viscous, one-sided, and curves over the speed.
 
 A one-sided friction is half the difference of both directions' coefficients; that of Coulomb friction is a constant force, so
-data never tell it from `torque_offset`. Where the sign is smoothed, the two directions' laws are mixed in proportion. A Stribeck
-power is 1 in some texts and 2 in others; a setting here. The viscous curvature is in proportion to the speed well below the knee
-and to its `power` well above it: the Carreau law of a lubricant that thins (power below 1; at 0 it levels off) or of drag that
-sets in (power 1.5). Where the knee is beyond the speeds seen the law is a parabola. Reference: Dressler 2012, (6.8)-(6.9) and
-Table 6.1; Khalil & Dombre 2002, 9.6; Stribeck 1902; Armstrong-Helouvry, Dupont & Canudas de Wit 1994; Carreau 1972; Bair & Winer
-1979 and Bittencourt & Gunnarsson 2012 for geared joints.
+data never distinguish it from `torque_offset`. If the sign is smoothed, the two directions' laws are mixed in proportion. A
+Stribeck power is 1 in some texts and 2 in others; here it is a setting. The viscous curvature is proportional to the speed well
+below the knee and to its `power` well above it: the Carreau law of a shear-thinning lubricant (power below 1; at 0 it levels
+off) or of drag that sets in (power 1.5). If the knee is beyond the measured speeds, the law is a parabola. Reference: Dressler
+2012, (6.8)-(6.9) and Table 6.1; Khalil & Dombre 2002, 9.6; Stribeck 1902; Armstrong-Helouvry, Dupont & Canudas de Wit 1994;
+Carreau 1972; Bair & Winer 1979 and Bittencourt & Gunnarsson 2012 for geared joints.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class AsymmetricFriction(JointwiseEffect):
     nonnegative = True
 
     def lower(self, quantity: str) -> float:
-        """Return the smallest admissible value: none of a Coulomb value, whose sum with the other one is bounded instead."""
+        """Return the lower bound of a value; -inf for a Coulomb value, whose sum with the other one is bounded instead."""
         return -np.inf if quantity.startswith("coulomb") else 0.0
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
@@ -154,13 +154,13 @@ class Stribeck(JointwiseEffect):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return speeds from half the slowest that is seen up to a third of the fast ones, a factor 1.6 apart, with both powers.
+        """Return speeds from half the slowest measured one to a third of the fast ones, in factors of 1.6, with both powers.
 
-        What decays with the square of the speed is as wide at 1.7 times the speed.
+        A law that decays with the square of the speed is equally wide at 1.7 times the speed.
         """
         k = scene.index(joints[0])
         low, high = 0.5 * scene.slow[k], scene.fast[k] / 3
-        if not 0 < low < high:  # zero: a joint that stands still
+        if not 0 < low < high:  # zero: a joint at rest
             return []
         count = 1 + int(np.ceil(np.log(high / low) / np.log(1.6)))
         speeds = np.geomspace(low, high, count)
@@ -255,10 +255,10 @@ class ViscousCurvature(JointwiseEffect):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return knees below the fast speeds for each power; none for a joint that stands still.
+        """Return knees below the fast speeds for each power; an empty list for a joint at rest.
 
         Friction that levels off to a constant (power 0) at a low knee differs from Coulomb friction at starts and reversals
-        alone. Where those pass it within the low-pass' memory, it is not told from their own transient.
+        alone. If the speed passes the knee within the low-pass' memory, it cannot be distinguished from their own transient.
         """
         k = scene.index(joints[0])
         fast, least = float(scene.fast[k]), 0.0

@@ -1,4 +1,4 @@
-"""Effects that move a cart where its encoder does not look: the end of its rod is not where the guideway says.
+"""Displacements of a cart that its encoder does not measure: the end of its rod is not on the nominal guideway.
 
     T = T(q) + sum_i S_i u_i @ parameters
 
@@ -6,14 +6,16 @@
     guideway_compliance    u = guideway_compliance F, F the force across the guideway (3,) [N]
     cart_tilt              u = angle(q) x lever = tilt_sin sin(2 pi q / period) + tilt_cos cos(2 pi q / period)
 
-with `u_i` the displacement of cart i [m] in base axes and `S_i` what the tool makes of it (`Mechanism.cart_sensitivity`; of
-`u_i` only the part along the rod counts). Only a measured tool shows them: what micrometres change of forces is left out.
+with `u_i` the displacement of cart i [m] in base axes and `S_i` the sensitivity of the tool to it
+(`Mechanism.cart_sensitivity`; only the part of `u_i` along the rod matters). Only a measured tool shows them: the change of
+forces by micrometres is neglected.
 
-A guideway's turn along itself is none, and a scale along it is `pinion_scale`. `F` comes from the model's masses
-(`Mechanism.guide_force`); the cart's own weight is constant and belongs to the guideway's position. Of a tilt tool positions show
-only the product of angle and lever; a constant angle is part of the guideway's place, one that grows with q a skew guideway, and
-waves shorter than a quarter of the travel are `transmission_error`. A crooked guideway displaces the rod's end just so: only a
-measured orientation of the cart, or a second rod on it, tells them apart. Reference: Dressler 2012, 4.1, 4.2, 5.2 and 5.3.
+A turn of a guideway about its own direction has no effect, and a scale along it is `pinion_scale`. `F` comes from the model's
+masses (`Mechanism.guide_force`); the cart's own weight is constant and belongs to the guideway's position. Tool positions show
+only the product of angle and lever of a tilt; a constant angle is part of the guideway's position, one that grows with q is a
+skew guideway, and waves shorter than a quarter of the travel are `transmission_error`. A guideway that is not straight
+displaces the rod's end in the same way: only a measured orientation of the cart, or a second rod on it, distinguishes them.
+Reference: Dressler 2012, 4.1, 4.2, 5.2 and 5.3.
 """
 
 from __future__ import annotations

@@ -115,7 +115,7 @@ class JointZero(JointParameters, DisplacementEffect):
 
     @classmethod
     def explain_absorbed(cls, joints: tuple[str, ...], is_felt: bool) -> str:
-        """Return why the baseline leaves nothing of the zero of these joints: no force depends on it, or bodies replace it."""
+        """Return the reason why the baseline absorbs the zero of these joints: no force depends on it, or bodies replace it."""
         if not is_felt:
             return f"no force depends on the position of {joints[0]}"
         return f"the zero of {joints[0]} is an exact alias of the centre of mass and inertia of the bodies it moves"

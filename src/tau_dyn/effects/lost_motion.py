@@ -1,10 +1,11 @@
-"""What comes between an encoder and its load: play, a spring. A bristle's loop is `presliding.py`.
+"""Lost motion between an encoder and its load: play, a spring. A bristle's loop is in `presliding.py`.
 
-Play is a play operator: the encoder travels it before the load follows. The play and the `travel` that closes it are one length
-physically; `travel` only shapes the few micrometres after a reversal, which most filters hide, so it is a setting of its own.
+Play is the play operator: the encoder travels the play before the load follows. The play and the `travel` that closes it are
+one length physically; `travel` only shapes the few micrometres after a reversal, which most filters hide, so it is a setting of
+its own.
 
-A spring carries the force of the model without it, or, where the joint's friction acts on the motor's side of it (setting
-`friction` 0), that of its rigid bodies. A quasi-static law: it holds well below the resonance of load and spring, which is
+A spring carries the force of the model without it, or, if the joint's friction acts on the motor's side of it (setting
+`friction` 0), that of its rigid bodies. The law is quasi-static: it holds well below the resonance of load and spring, which is
 `structural_compliance`. Reference: Nordin & Gutman 2002; Spong 1987; Dressler 2012, 4.2 and 6.3.
 """
 
@@ -94,7 +95,7 @@ class JointCompliance(JointwiseDisplacement):
 
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
-        """Return what the logs lack; the whole force is enough."""
+        """Return the signals that the logs lack; the whole force is enough."""
         return super().untestable(replace(scene, signals=scene.signals | {"rigid_force"}))
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:

@@ -1,17 +1,17 @@
-"""A motor's electric circuit, where a log's force is its voltage: back-EMF, inductance, warm windings, a supply that sags.
+"""A motor's electric circuit, for logs whose force is its voltage: back-EMF, inductance, warm windings, a supply that sags.
 
     u = R i + k_e v + L di/dt,   tau = k_t i,   tau_log = (k_t / R_cold) u
 
 Servos without a current sensor report voltage or pulse width. A column map makes a force of it, the torque that the cold motor
-gives at rest (`tau_J: {column: volts, scale: 0.21}`), and keeps it as `voltage_J` or `pwm_J`. Both being proportional tells that
-the circuit stands in the force. Without the scale, masses and friction are known in units of `R / k_t`.
+gives at rest (`tau_J: {column: volts, scale: 0.21}`), and keeps it as `voltage_J` or `pwm_J`. If both are proportional, the
+force contains the circuit. Without the scale, masses and friction are known in units of `R / k_t`.
 
-Back-EMF is viscous friction's twin and no search sees it. A refit's `force` holds it, so the current's part of the force is
-`tau = force - back_emf v`, with `back_emf = k_t k_e / R` a setting. Inductance leads by `L / R`, as a force logged early does.
-Copper gains 0.39 % of resistance a kelvin, magnets lose 0.1 to 0.2 %: a warm motor needs more voltage for its torque. A measured
-temperature gives that directly; else windings warm with `i^2` over a first-order lag, as long as the housing stays cool. A supply
-of resistance `R_s` loses `R_s i u / u_0` at pulse width `u / u_0`, to first order in the loss. Reference: Hughes & Drury 2013, 3;
-Gautier & Briot 2014.
+Back-EMF is indistinguishable from viscous friction, so no search finds it. A refit's `force` holds it, so the current's part of
+the force is `tau = force - back_emf v`, with `back_emf = k_t k_e / R` a setting. Inductance leads by `L / R`, as a force logged
+early does. Copper gains 0.39 % of resistance a kelvin, magnets lose 0.1 to 0.2 %: a warm motor needs more voltage for its
+torque. A measured temperature gives that directly; else windings warm with `i^2` over a first-order lag, as long as the housing
+stays cool. A supply of resistance `R_s` loses `R_s i u / u_0` at pulse width `u / u_0`, to first order in the loss. Reference:
+Hughes & Drury 2013, 3; Gautier & Briot 2014.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ _BACK_EMF_SHARES = (0.0, 0.5, 1.0)
 
 
 class CircuitEffect(JointwiseEffect):
-    """What a motor's circuit does to a voltage that is logged as a force; the robot moves as without it."""
+    """Effect of a motor's circuit on a voltage that is logged as a force; the robot's motion does not change."""
 
     needs = (VOLTAGE,)
     signal: ClassVar[str] = VOLTAGE
-    """What the log holds of it."""
+    """Force contained in the log."""
 
     @property
     def measured(self) -> bool:
@@ -62,7 +62,7 @@ class BackEmf(CircuitEffect):
     reference = "Hughes & Drury 2013, ch. 3"
     reveals = _WITH_CURRENT + "; or let the joint swing with its motor switched off, where friction alone brakes it"
     mistaken_for = ("viscous_curvature", "viscous_asymmetry")
-    # It takes up all of what voltages show as viscous friction, or nothing
+    # It explains all of the viscous friction in voltages, or no part of it
     plausible = (PlausibleRange("back_emf", 0.0, 1.0, of="viscous"),)
     quantities = (("back_emf", "F/(V)"),)
     nonnegative = True
@@ -73,7 +73,7 @@ class BackEmf(CircuitEffect):
 
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
-        """Return why no voltage tells it from viscous friction."""
+        """Return the reason why no voltage distinguishes it from viscous friction."""
         twin = ("in a voltage it is a part of the viscous friction, which no motion under power divides", cls.reveals)
         return super().untestable(scene) or twin
 
@@ -112,13 +112,13 @@ class ScaledCurrent(CircuitEffect):
         """Return the factor (N,) per unit of the amplitude, of the current's part of the force (N,)."""
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
-        """Return the factor times what the current makes of the force."""
+        """Return the factor times the current's part of the force."""
         current = joint.signal("force") - self.settings["back_emf"] * joint.v
         return [self.find_factor(current, joint) * current]
 
     @classmethod
     def list_back_emf(cls, scene: Scene, joint: str) -> list[float]:
-        """Return back-EMF worth trying [F/V], from none to all of the viscous friction."""
+        """Return the values of back-EMF to try [F/V], from zero to all of the viscous friction."""
         viscous = max(0.0, scene.scales.get(joint, {}).get("viscous", 0.0))
         return [share * viscous for share in (_BACK_EMF_SHARES if viscous else _BACK_EMF_SHARES[:1])]
 

@@ -23,7 +23,7 @@ from tau_dyn.effects.motion import JointMotion, Motion, Scene
 from tau_dyn.parameters import Parameter
 
 MIN_PERIODS = 4.0
-"""Of a force of the position alone: fewer of them are any smooth dependence on the place."""
+"""Least periods of a force of the position alone: fewer of them resemble any smooth dependence on the position."""
 MAX_PERIODS = 500.0  # periods within the range; finer ones are below an encoder's resolution
 _STEPS = 4.0  # frequencies per resolution cell, so that no peak falls between two
 
@@ -32,7 +32,7 @@ class PeriodicEffect(JointwiseEffect):
     """A sum of sines and cosines of the position, `harmonics` of them.
 
     Attributes:
-        wave: What its amplitudes are called and the letter of their unit.
+        wave: Name of its amplitudes and the letter of their unit.
     """
 
     wave: ClassVar[tuple[str, str]]
@@ -58,7 +58,7 @@ class PeriodicEffect(JointwiseEffect):
         return build_waves(joint.q, self.settings["period"], int(self.settings["harmonics"]))
 
     def sizes(self, values: Mapping[str, Parameter]) -> tuple[str, str]:
-        """Return the first harmonic's amplitude, and what is to be said of the others' after it."""
+        """Return the first harmonic's amplitude, and a phrase with the amplitudes of the others."""
         p = list(values.values())
         sizes = [format_amount(compute_amplitude(p[k], p[k + 1])) for k in range(0, len(p), 2)]
         return sizes[0], f", with harmonics of {', '.join(sizes[1:])}" if len(sizes) > 1 else ""
@@ -71,9 +71,9 @@ def build_waves(q: np.ndarray, period: float, harmonics: int) -> list[np.ndarray
 
 
 def list_periods(scene: Scene, joint: str, fewest: float = MIN_PERIODS) -> list[dict[str, float]]:
-    """Return the periods [m or rad] worth trying, the longest first, of which the range holds `fewest`.
+    """Return the periods [m or rad] to try, the longest first; the range holds at least `fewest` of each.
 
-    There are none where the joint hardly moves.
+    The list is empty if the joint hardly moves.
     """
     k = scene.index(joint)
     travel, slow = float(scene.high[k] - scene.low[k]), float(scene.slow[k])

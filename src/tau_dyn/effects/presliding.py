@@ -1,15 +1,16 @@
-"""Friction that bends before it slips: LuGre's bristle as a force, or the loop that it leaves between encoder and load.
+"""Friction that deflects before it slips: LuGre's bristle as a force, or its hysteresis loop between encoder and load.
 
-A bristle's state z swings from one side to the other over `distance` after a reversal:
+A bristle's state z changes from one side to the other over `distance` after a reversal:
 
-    dz/dt = (v - |v| z) / distance,     z = sign(v) (1 - 2 exp(-x / distance)) once it had swung, x the way since the reversal.
+    dz/dt = (v - |v| z) / distance, z = sign(v) (1 - 2 exp(-x / distance)) after a full change, x the travel since the reversal.
 
-This is LuGre's bristle, z in units of its largest deflection and with a stiffness of `lugre / distance`. Its micro-damping, which
-acts over that distance alone, is left out, and its Stribeck curve is `stribeck` beside it. With one friction at all speeds it is
-Dahl's law; springs that slip one after another (Maxwell slip) build up over about the same way. As a force it stands beside
-Coulomb friction, of which a part then builds up over the distance; as a displacement, `hysteresis`, it is a loop of the
-deflection. A recording is integrated, which covers reversals before z has swung; single states are taken to have swung.
-Reference: Dahl 1968; Canudas de Wit et al. 1995; Al-Bender, Lampaert & Swevers 2005; Ruderman et al. 2009.
+This is LuGre's bristle, z in units of its largest deflection and with a stiffness of `lugre / distance`. Its micro-damping,
+which acts over that distance alone, is left out, and its Stribeck curve is the separate effect `stribeck`. With one friction at
+all speeds it is Dahl's law; springs that slip one after another (Maxwell slip) build up over about the same distance. As a
+force it is added to Coulomb friction, of which a part then builds up over the distance; as a displacement, `hysteresis`, it is
+a loop of the deflection. A recording is integrated, which covers reversals before z has fully changed; single states are
+assumed to follow a full change. Reference: Dahl 1968; Canudas de Wit et al. 1995; Al-Bender, Lampaert & Swevers 2005; Ruderman
+et al. 2009.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter
 
 _DISTANCES = (1e-3, 0.1)
-_N_TRIALS = 8  # distances tried, a factor of about two apart; refinement does the rest
+_N_TRIALS = 8  # distances tried, in steps of a factor of about two; refinement does the rest
 _PIECE = 30.0  # exponents of a stretch that is integrated at once; exp(30) leaves half of the digits
 STATE = "presliding"
 """Signal (N, na) that replaces z where somebody follows it from sample to sample, as the simulator does."""
@@ -85,7 +86,7 @@ class Lugre(Bristle):
     open_ends = {"distance": "both"}
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
-        """Return what the bristle lacks of Coulomb friction."""
+        """Return the bristle's force minus Coulomb friction, per unit."""
         return [self.find_state(joint) - joint.sign]
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
@@ -148,7 +149,7 @@ class Hysteresis(Bristle, JointwiseDisplacement):
         return JointwiseEffect.columns(self, motion)
 
     def displacement(self, motion: Motion) -> np.ndarray:
-        """Return encoder minus load per unit parameter (N, na, p); none for a force."""
+        """Return encoder minus load per unit parameter (N, na, p); zero for a force."""
         made = super().displacement(motion)
         return made if self.measured else np.zeros_like(made)
 

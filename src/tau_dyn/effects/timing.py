@@ -6,13 +6,13 @@ with `F` the force of the model without the effect and `about` the setting near 
 and amplitude agree, and diagnosis fits them as one number (`Effect.matched`). One clock or filter mostly serves all drives, so an
 instance over all joints has one parameter, named after `drive`.
 
-Delay, positive for forces logged late: up to 1 ms the difference is taken to both sides,
-`(F(t - about) - F(t + about)) / (2 about)`, because its even part, a smoothed force less itself, is there what any mismatch of
-filters looks like. Beyond, the even part tells a late force from a smoothed one, surely from 5 ms up.
+Delay, positive for forces logged late: up to 1 ms the difference is symmetric, `(F(t - about) - F(t + about)) / (2 about)`,
+because its even part, a smoothed force less itself, resembles any mismatch of filters there. Beyond 1 ms, the even part
+distinguishes a late force from a smoothed one, reliably from 5 ms up.
 
-Low-pass, `T d tau_log / dt = tau - tau_log`: it turns slow forces like a delay of the same length, and makes fast ones smaller,
-by (w T)^2 / (1 + (w T)^2) at w, which a delay does not. It starts settled. Reference: Dressler 2012, 6.3; Ljung 1999, 13.3
-(prefilters); Swevers, Verdonck & De Schutter 2007 (filters of actuator data in robot identification).
+Low-pass, `T d tau_log / dt = tau - tau_log`: it shifts slow forces like a delay of the same length, and attenuates fast ones,
+by (w T)^2 / (1 + (w T)^2) at w, which a delay does not. It starts in the steady state. Reference: Dressler 2012, 6.3; Ljung
+1999, 13.3 (prefilters); Swevers, Verdonck & De Schutter 2007 (filters of actuator data in robot identification).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class TimingEffect(Effect):
     """Forces that are logged with their time changed."""
 
     amplitude: ClassVar[str]
-    """What the parameter's name says after its owner."""
+    """The parameter's name after its owner."""
     kind: ClassVar[int]
     """Its place in `Scene.timing`: 0 a delay, 1 a time constant."""
 
@@ -81,8 +81,8 @@ class TimingEffect(Effect):
 _ODD_MS = (0.5,)
 """Delays tried with the odd difference, which is the same for both signs."""
 _FULL_MS = (2.0, 5.0, 10.0, 20.0, 35.0, 50.0, 70.0, 100.0)
-"""Delays tried with the full difference, a third of a turn of 10 Hz apart where they are short; one search between neighbours
-does the rest."""
+"""Delays tried with the full difference, in steps of a third of a period of 10 Hz if short; one search between neighbours does
+the rest."""
 MAX_ODD_S = 1e-3
 """Delay up to which only the odd part counts; of a motion at 5 Hz the even part is 2 % of it there."""
 MAX_TWIN_S = 5e-3
@@ -115,7 +115,7 @@ class Delay(TimingEffect):
     open_ends = {"about": "both"}
 
     def __init__(self, joints: Iterable[str], units: Iterable[str], *, label: str = "", **settings: float) -> None:
-        """Delay the forces of these joints alike; see `Effect.__init__`."""
+        """Delay the forces of these joints equally; see `Effect.__init__`."""
         super().__init__(joints, units, label=label, **settings)
         if self.settings["about"] == 0:
             raise InputError("invalid_value", "setting about of effect delay must not be zero; its sign is the delay's")
@@ -126,7 +126,7 @@ class Delay(TimingEffect):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return delays of both signs, none longer than a hundredth of the recording."""
+        """Return delays of both signs, at most a hundredth of the recording."""
         odd, full = ([x for x in ms if 1e-3 * x <= _MAX_SHARE * scene.duration] for ms in (_ODD_MS, _FULL_MS))
         return [{"about": 1e-3 * x} for x in (*(-x for x in reversed(full)), *odd, *full)]
 
@@ -148,8 +148,8 @@ class Delay(TimingEffect):
 
 
 _LAGS_MS = (5.0, 10.0, 20.0, 45.0, 100.0)
-"""Time constants tried, a factor 2 to 3 apart; one search between neighbours does the rest. A shorter low-pass is called a
-delay of the same length: what is left of the difference is what noise of the encoders in the predicted force looks like, too."""
+"""Time constants tried, in steps of a factor 2 to 3; one search between neighbours does the rest. A shorter low-pass is
+reported as a delay of the same length: the remaining difference resembles encoder noise in the predicted force."""
 _MAX_TWIN_LAG_S = 7e-3
 """Time constant up to which a delay is its twin; a little above the end of the grid, at which a shorter one would end."""
 _MAX_LAG_SHARE = 0.01
@@ -178,14 +178,14 @@ class DriveLag(TimingEffect):
     open_ends = {"about": "high"}
 
     def __init__(self, joints: Iterable[str], units: Iterable[str], *, label: str = "", **settings: float) -> None:
-        """Low-pass the forces of these joints alike; see `Effect.__init__`."""
+        """Low-pass the forces of these joints equally; see `Effect.__init__`."""
         super().__init__(joints, units, label=label, **settings)
         if self.settings["about"] <= _MAX_TWIN_LAG_S:
             self.equivalent = ("delay", "clock_offset")
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return time constants from 5 to 100 ms, none longer than a hundredth of the recording."""
+        """Return time constants from 5 to 100 ms, at most a hundredth of the recording."""
         return [{"about": 1e-3 * x} for x in _LAGS_MS if 1e-3 * x <= _MAX_LAG_SHARE * scene.duration]
 
     def difference(self, force: np.ndarray, t: np.ndarray) -> np.ndarray:

@@ -1,20 +1,21 @@
-r"""Forces that a drive reports otherwise than it gives them: its constant falls with the force, or other drives leak in.
+r"""Reported forces that differ from the true ones: the drive's constant decreases with the force, or other drives leak in.
 
 A motor's iron saturates: the current grows faster than the torque, and a force that is logged as current times a constant is
 too large at high force. To the lowest odd order
 
     tau_log = tau + torque_saturation tau (tau / largest)^2,
 
-with the joint's largest force as a setting, so that the amplitude is the share that the log adds to it. Friction in proportion
-to the load (`load_friction`) has the sign of the speed, this has the sign of the force, whichever way the joint moves.
+with the joint's largest force as a setting, so that the amplitude is the share that the log adds to it. Friction proportional
+to the load (`load_friction`) has the sign of the speed; this effect has the sign of the force in both directions of motion.
 
 Cross-talk of current sensors, or of strain gauges in one housing, adds a share of another joint's force:
 
     tau_log_i = tau_i + torque_crosstalk tau_k.
 
-A motor that two joints share (`reducer_coupling`) loads both of them alike, with its own inertia and friction only; cross-talk
-carries gravity as well, into one of them. Both forces here are those of the fitted model and not the measured ones, whose noise
-would be in the column and in the residual. Reference: Gautier & Briot 2014; Hughes & Drury 2013, ch. 3; Gautier & Venture 2013.
+A motor that two joints share (`reducer_coupling`) loads both of them equally, with its own inertia and friction only;
+cross-talk also carries gravity, into one of them. Both forces here are those of the fitted model and not the measured ones,
+whose noise would be in the column and in the residual. Reference: Gautier & Briot 2014; Hughes & Drury 2013, ch. 3; Gautier &
+Venture 2013.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter, Parameters
 
 DELIVERED = "delivered_force"
-"""Signal (N, na) [N or N m]: force that the drives give, the model refitted beside a saturation of all of them."""
+"""Signal (N, na) [N or N m]: force that the drives deliver, by a model refitted together with a saturation of all of them."""
 
 
 class ForceReading(Effect):

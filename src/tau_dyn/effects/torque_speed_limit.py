@@ -1,13 +1,14 @@
-"""A motor's torque-speed line, where the log holds the torque that was asked for and not the one that was delivered.
+"""A motor's torque-speed line, for logs that hold the commanded torque instead of the delivered one.
 
 A motor on a given supply delivers less torque the faster it turns: in the direction of motion at most
 
-    limit(v) = stall (1 - |v| / no_load),     nothing beyond no_load.
+    limit(v) = stall (1 - |v| / no_load),     zero beyond no_load.
 
-Logged is what the controller asked for. Of it `excess = sign(v) max(0, sign(v) tau_log - limit(v))` never reached the joint, so
-`tau_log = model + excess`. The logged force stands in its own column: a line laid through the noise of a steady force would lose
-half of that noise. So the line is not searched for; it is that of the robot file's effort and velocity limits. Beyond a line that
-is none, only a few per cent of the excess are lost, so a share near one is the cause. Reference: Hughes & Drury 2013, ch. 3.
+The log holds the command of the controller. Its part `excess = sign(v) max(0, sign(v) tau_log - limit(v))` never reached the
+joint, so `tau_log = model + excess`. The column depends on the logged force: a line within the noise of a steady force would
+remove half of that noise. So the line is not searched for; it is that of the robot file's effort and velocity limits. Beyond a
+line that is not the motor's, only a few per cent of the excess are lost, so a share near one confirms the cause. Reference:
+Hughes & Drury 2013, ch. 3.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class TorqueSpeedLimit(JointwiseEffect):
     reference = "Hughes & Drury 2013, ch. 3"
     reveals = "accelerations at speed beyond what the motor gives, its stall force and no-load speed in the robot file as limits"
     mistaken_for = ("drive_gain", "quadratic_drag", "viscous_curvature", "drive_lag")
-    # All of what lies beyond the line is lost
+    # All torque beyond the line is lost
     plausible = (PlausibleRange("lost", 1 - _OFF, 1 + _OFF),)
     needs = (REPORTED,)
     quantities = (("lost", "1"),)
@@ -47,7 +48,7 @@ class TorqueSpeedLimit(JointwiseEffect):
 
     @property
     def measured(self) -> bool:
-        """The log holds what was asked for; the robot gets less."""
+        """The log holds the command; the robot receives less."""
         return True
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
@@ -60,7 +61,7 @@ class TorqueSpeedLimit(JointwiseEffect):
         return super().find_implausible(parameters, scales)
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return the line and what is lost beyond it."""
+        """Return the line and the loss beyond it."""
         stall, no_load = self.setting("stall", joint), self.setting("no_load", joint)
         lost = format_percent(values["lost"])
         return f"a force limit from {stall} at rest to 0 at {no_load}; of the logged force beyond it {lost} are lost"

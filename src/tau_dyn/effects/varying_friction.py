@@ -1,17 +1,17 @@
-"""Friction that follows more than the joint's speed: temperature, campaign, place, passive bearings.
+"""Friction that depends on more than the joint's speed: temperature, campaign, position, passive bearings.
 
-The temperature's lag starts in equilibrium at the first sample; without a clock the temperature given is taken for it. Its
-reference only moves Coulomb and viscous friction. A campaign is one log, numbered from zero in the order given.
+The temperature's lag starts in equilibrium at the first sample; without a clock the given temperature is used. Its reference
+value only shifts Coulomb and viscous friction. A campaign is one log, numbered from zero in the order given.
 
-Friction of the place is a sum of Legendre polynomials, nearly independent of each other where the joint visits its range evenly;
-P_0 is Coulomb friction itself. Beyond the range it stays as at its end.
+Position-dependent friction is a sum of Legendre polynomials, nearly independent of each other if the joint covers its range
+evenly; P_0 is Coulomb friction itself. Beyond the range it is constant.
 
-A passive bearing turns with `w = P v`, `P` from the loops (`Mechanism.passive_rates`); by virtual work the motors add `P'` times
-its friction, with one pair of coefficients for all bearings. `w / |w|` reverses with the bearing, not with a joint: when all
-carts move alike, no rod turns. There the direction is noise; identification leaves such samples out (`other_speeds`), a smoothed
-sign (feedforward) fades with the fastest joint's, and the simulator takes the force at the current speed, so that it brakes but
-cannot hold. Reference: Dressler 2012, 6.2; Bittencourt & Gunnarsson 2012; Khalil & Dombre 2002, 9.6
-and ch. 10 (virtual work).
+A passive bearing turns with `w = P v`, `P` from the loops (`Mechanism.passive_rates`); by virtual work the motors add `P'`
+times its friction, with one pair of coefficients for all bearings. `w / |w|` reverses with the bearing, not with a joint: when
+all carts move equally, no rod turns. Then the direction is noise; identification leaves such samples out (`other_speeds`), a
+smoothed sign (feedforward) fades with the fastest joint's, and the simulator takes the force at the current speed, so that it
+brakes but cannot hold. Reference: Dressler 2012, 6.2; Bittencourt & Gunnarsson 2012; Khalil & Dombre 2002, 9.6 and ch. 10
+(virtual work).
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class ThermalDrift(JointwiseEffect):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return no lag, and lags from 3 s to a third of the recording, a factor 2 apart."""
+        """Return no lag, and lags from 3 s to a third of the recording, in steps of a factor 2."""
         longest = scene.duration / 3
         count = 1 + int(np.ceil(np.log(longest / _MIN_LAG_S) / np.log(_LAG_STEP))) if longest > _MIN_LAG_S else 0
         return [{"lag": 0.0}, *({"lag": float(x)} for x in np.geomspace(_MIN_LAG_S, longest, count))]
@@ -123,7 +123,7 @@ class FrictionChange(JointwiseEffect):
 
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
-        """Return that one log has nothing to differ from."""
+        """Return that a single log has no other log to differ from."""
         return ("there is only one training log", cls.reveals) if scene.campaigns < 2 else super().untestable(scene)
 
 
@@ -182,7 +182,7 @@ class PositionFriction(JointwiseEffect):
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
         """Return laws from a parabola to one with three waves over the range that is often travelled.
 
-        Where the joint hardly ever was, a polynomial of its own would say anything.
+        In a range that the joint rarely visited, a polynomial would be arbitrary.
         """
         low, high = scene.range_of(joints[0])
         if not low < high:
@@ -192,7 +192,7 @@ class PositionFriction(JointwiseEffect):
 
 
 class _PositionDrag(PositionFriction):
-    """Viscous friction as a polynomial of the position; too rare to be a cause, and a look-alike of one."""
+    """Viscous friction as a polynomial of the position; too rare to be a cause, and similar to one."""
 
     name = "position_drag"
     cause = False
