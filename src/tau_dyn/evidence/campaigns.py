@@ -28,7 +28,7 @@ from tau_dyn.evidence.result import DIFFERENCE_LEVEL, Gain
 from tau_dyn.parameters import Parameter, Parameters
 
 MIN_LEFT_P_VALUE = 1e-3
-"""Chance of what a change leaves of a log's difference, above which it explains all of it."""
+"""p-value of a log's remaining difference above which a change explains the whole difference."""
 MIN_EXPLAINED_SHARE = 0.9
 """Or share of a log's difference that it explains: model errors make differences between motions that no noise model knows of."""
 
@@ -83,9 +83,9 @@ class CampaignChannel(Measurements):
 
 
 def divide_every_log(channel: Measurements, gap_s: float) -> tuple[np.ndarray, ...]:
-    """Return parts in which every log is trained on and tested on.
+    """Return parts that divide every log into training and test data.
 
-    Of a training log a quarter of the blocks is tested on, of the others their test part.
+    The test data are a quarter of the blocks of a training log, and the test part of the other logs.
     """
     inner = divide_training(channel.runs, channel.parts, gap_s)
     found = []
@@ -229,15 +229,15 @@ def compute_campaign_gain(
 
 
 def explain_misfit(channel: CampaignChannel, logs: Sequence[str], gain: Gain) -> str:
-    """Return why a change in some logs is not claimed next to a model that misses more there for other reasons; else nothing.
+    """Return the reason why a change in some logs is not claimed if the model's remaining error is larger; empty otherwise.
 
-    A model that misses more than `MAX_MISSED_SHARE` of the force lacks a force, and any other column takes part of it up. Of such
-    a model only a change is believed that exerts as much force in these logs as the model misses with it.
+    A model with an error of more than `MAX_MISSED_SHARE` of the force lacks a force, and any other column absorbs part of it.
+    With such a model a change is accepted only if it exerts as much force in these logs as the remaining error.
 
     Args:
         channel: The measurements.
         logs: The logs.
-        gain: Of the change, in these logs.
+        gain: Gain of the change, in these logs.
     """
     runs = list(zip(channel.runs, channel.masks(TEST), strict=True))
     forces = [run.y[mask] for run, mask in runs if run.name in logs]

@@ -33,8 +33,8 @@ FAMILY_LEVEL = 0.05
 GROUP_LEVEL = 0.01
 """Level at which a further joint joins a cause."""
 MIN_SHARE_OF_STRONGEST = 0.1
-"""Share of the strongest group's evidence that a further one needs to join at once; a weaker one gets its chance in the next
-round, when the strong one is accounted for and nothing of it can leak over."""
+"""Share of the strongest group's evidence that a further group needs to be added at once; a weaker one is tested in the next
+round, when the strong one is in the model and no part of its effect can leak over."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,12 +207,12 @@ def _correlate(fits: list[GroupTest]) -> np.ndarray:
 
 N_NULL_DRAWS = 60  # draws of noise; their mean and scatter fix the level of a scan over many settings to 13 %
 DENSE_DRAWS = 24
-"""Of a scan of thousands of periods, whose largest value hardly varies."""
+"""Draws for a scan of thousands of periods, whose largest value hardly varies."""
 _CHUNK = 64  # settings computed at once; bounds memory
 _WORTH_MATCHING = 30.0
-"""What a setting must explain for it to be fitted before it is chosen; the best of chance is some 20."""
+"""Least statistic of a setting that is fitted before it is chosen; the best by chance is about 20."""
 _PROPOSAL_MARGIN = 0.03
-"""Share of what the best setting explains that a proposed one may lack."""
+"""Share of the best setting's statistic that a proposed one may lack."""
 _MATCHES = 12  # evaluations of the search for a setting between two of the grid
 _MATCHED = 2e-3
 """Relative accuracy of a setting that agrees with its amplitude: below any standard error."""
@@ -261,7 +261,7 @@ def list_joint_groups(channel: Channel, cls: type[Effect], taken: set[tuple]) ->
 
 
 def fit_group(null_model: NullModel, draws: np.ndarray, cls: type[Effect], group: tuple[str, ...]) -> GroupTest | None:
-    """Scan one cause's settings on one group of joints; None where there is nothing to try."""
+    """Scan one cause's settings on one group of joints; None if there is no setting to try."""
     scene = null_model.channel.scene
     grid = cls.grid(scene, group)
     if not grid:

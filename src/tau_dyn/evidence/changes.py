@@ -138,7 +138,7 @@ def describe_changes(changes: Sequence[LogChange]) -> list[str]:
 
 
 def list_changes(changes: Sequence[LogChange]) -> dict[str, Any]:
-    """Return the two fields of a JSON result: `changes`, and their times [s] as `time_s`; none without a change."""
+    """Return the two fields of a JSON result, `changes` and their times [s] as `time_s`; empty without a change."""
     if not changes:
         return {}
     return {"changes": [one.to_dict() for one in changes], "time_s": [one.time_s for one in changes]}

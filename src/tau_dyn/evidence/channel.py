@@ -53,7 +53,7 @@ class Channel(Measurements, ABC):
         return self.columns(effect)
 
     def quick_columns(self, effect: Effect) -> Sequence[np.ndarray] | None:
-        """Return columns (n, m, k) of each run quicker made than the exact ones and as good; None where there are none."""
+        """Return columns (n, m, k) of each run that are computed faster than the exact ones and are equally good, or None."""
         return None
 
     def scan(self, effects: Sequence[Effect], whiten: Whitener, both: np.ndarray) -> np.ndarray | None:

@@ -52,7 +52,7 @@ MAX_HELD_OUT_RATIO = 3.0
 MIN_AMPLITUDE_Z = 2.0
 """Standard errors that the amplitudes of a claimed cause must be off zero in the extended model, all in one Wald test."""
 MAX_RELATIVE_RMS_INCREASE = 0.005
-"""By how much a cause may raise the error on the validation data; a weak one changes it by less, either way."""
+"""Largest relative increase of the validation error by a cause; a weak cause changes it by less, in both directions."""
 MAX_OUTPUT_LOSS_PERCENT = 5.0
 """Loss of a single output [%] that the gain of the whole outweighs: the error of one output changes as much between two motions
 of a sound machine (EMPS, TX40, KR300)."""
@@ -252,7 +252,7 @@ def _reject_by_amplitude(selection: StepwiseSelection, claims: Claims, waterfall
     """Reject causes that are not distinct from zero, implausible, at an edge, or absent from the test data; all at once."""
     values, before = waterfall.fits[-1].parameters, waterfall.fits[0].parameters
     estimate, scene, kept = waterfall.fits[-1].estimate, selection.channel.scene, claims.kept
-    assert estimate is not None  # only the nominal bar has none
+    assert estimate is not None  # only the nominal bar lacks one
     scales = scene.scales
     if scales:
         scales = widen_scales(scales, measure_friction(values, scene), measure_friction(before, scene))
@@ -390,7 +390,7 @@ def recommend(
 
 
 def find_foreign_joints(channel: Channel, fit: EvaluatedFit) -> list[tuple[str, float]]:
-    """Return the outputs whose held-out rms is many times the training rms, with the ratio; none without held-out logs."""
+    """Return the outputs whose held-out rms is many times the training rms, with the ratio; empty without held-out logs."""
     if not any(np.all(part == TRAIN) for part in channel.parts):
         return []
     found = []

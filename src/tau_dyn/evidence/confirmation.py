@@ -1,20 +1,20 @@
-r"""Confirmation: is the effect that was fitted on the training data present in the held-out data, in the predicted size?
+r"""Confirmation: a test whether the effect fitted on the training data is present in the held-out data, in the predicted size.
 
 With `C gamma` the effect fitted on the training data and `B` everything else, the misfit predicted on other data is
 
     x = C gamma - B (B_t^+ C_t gamma),
 
-the part that the baseline's training refit leaves of it. The held-out residual of the baseline's training fit is regressed on
-`x`, with `B` free to move as far as the training fit was uncertain (its information as prior rows), and freely back by the
-amount that the effect shifted it: if the effect were in the training data alone, that shift would be in the residual and
-resemble a part of `x`. The coefficient is 1 if all of the effect is there and 0 if none; a one-sided t-test. Its variance
-counts how blocks scatter, in the held-out data and, with the weight of at most ten blocks, in the training data: a misfit
-that changes along the way is no noise.
+the part that the baseline's training refit does not absorb. The held-out residual of the baseline's training fit is regressed
+on `x`. The coefficients of `B` may change within the uncertainty of the training fit (its information as prior rows), and
+freely along the shift that the effect caused: if the effect were in the training data alone, that shift would be in the
+residual and resemble a part of `x`. The coefficient of `x` is 1 if the full effect is present and 0 if it is absent; the test
+is a one-sided t-test. Its variance includes the scatter between blocks, in the held-out data and, with the weight of at most
+ten blocks, in the training data: a misfit that changes over time is not noise.
 
-A law of many amplitudes may be known badly just where the held-out data go: its `x` would be mostly error. With information
-`G` on `gamma` in the training data and `H` in the held-out ones, the two estimates of a direction agree as far as both know it,
-with the weight `1 / (1/g + 1/h)`; so the residual is regressed on `x~`, made of `(G + H)^-1 G gamma`, and the share is that of
-`x` still (`x~` as its instrument).
+A law of many amplitudes may be poorly determined in the range of the held-out data: its `x` would be mostly error. With
+information `G` on `gamma` in the training data and `H` in the held-out ones, the two estimates of a direction are compared with
+the weight `1 / (1/g + 1/h)`; so the residual is regressed on `x~`, computed from `(G + H)^-1 G gamma`, and the share still
+refers to `x` (`x~` is its instrument).
 """
 
 from __future__ import annotations
@@ -124,10 +124,10 @@ def _information(C: np.ndarray, shifts: np.ndarray, B: np.ndarray, R: np.ndarray
 
 
 def _amplitudes(left: np.ndarray, r: np.ndarray, own: np.ndarray, H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return amplitudes (k,) of columns of which the baseline leaves `left` (n, k), and those weighed by what `H` knows.
+    """Return amplitudes (k,) of columns with residuals `left` (n, k) on the baseline, and those weighted by the information `H`.
 
-    Only in the directions that the baseline does not absorb: gains of all drives, say, are the masses; a sum that only the
-    encoders' noise keeps apart would be fitted to that noise.
+    Only directions that the baseline does not absorb are used. Gains of all drives, for example, equal the masses: a sum that
+    only encoder noise separates from the baseline would be fitted to that noise.
     """
     scale = np.where(own > 0, own, 1.0)
     values, vectors = np.linalg.eigh((left / scale).T @ (left / scale))

@@ -3,10 +3,10 @@
 A detection limit is the amplitude at which the test at the family-wise level has 95 % power (noncentral chi-square), at the
 setting in the middle of the grid and on the joint where the cause is hardest to see.
 
-Places a step `s` apart give the same values to every wave whose number of periods a metre differs by a multiple of `1 / s`, and
-to their mirror images, `1 / p' = k / s +- 1 / p`. Of poses held still the periods that explain as much as the best one are
-listed; more than one, and the period is not known. Places at uneven steps have no such twins (Dressler 2012, 4.2, presumes
-them in measurements 50 mm apart).
+Positions with a step `s` give the same values to all waves whose numbers of periods per metre differ by a multiple of `1 / s`,
+and to their mirror images, `1 / p' = k / s +- 1 / p`. For static poses the periods that explain as much as the best one are
+listed; if there is more than one, the period is not identifiable. Positions at uneven steps have no such aliases (Dressler
+2012, 4.2, assumes them in measurements at steps of 50 mm).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from tau_dyn.evidence.unknown_structure import MIN_2LOGL_DIFFERENCE
 POWER = 0.95  # of the test at the detection limit, by convention
 OWNED = 1e-9  # share of a column's power left next to the null model; less is rounding
 _WHOLE = 0.5
-"""Share of an output's rms above which a limit says that the data show nothing of the cause."""
+"""Share of an output's rms above which a limit means that the data hold no information about the cause."""
 
 
 def compute_detection_limits(
@@ -75,7 +75,7 @@ def compute_finding_limit(search: StepwiseSelection, one: SelectedCause) -> Limi
 
 
 def explain_absorbed(null_model: NullModel, candidate: CandidateCause) -> str:
-    """Return on which joints the baseline leaves nothing of a cause, and why; empty where no reason is known."""
+    """Return the joints on which the baseline absorbs a cause, with the reason; empty if no reason is known."""
     reasons = []
     for fit in candidate.tested:
         C = null_model.rows(fit.effect)
@@ -105,7 +105,7 @@ def _limit(null_model: NullModel, candidate: CandidateCause, causes: int) -> Lim
         tests = len(candidate.tested) * (2 if len(candidate.tested) > 1 else 1)  # each alone, and all together
         amplitude = _amplitude(null_model, fit, tests * causes)
         if amplitude is None:
-            continue  # a joint that hardly moves says nothing of the others
+            continue  # a joint that hardly moves is not representative of the others
         first = next(iter(fit.effect.parameters))
         amplitude = max([amplitude, *(row.low for row in fit.effect.plausible if not (row.of or row.setting))])
         values = fit.effect.parameters.with_values({first.name: max(amplitude, first.lower)})
@@ -153,7 +153,7 @@ def _owned(null_model: NullModel, candidate: CandidateCause) -> bool:
 
 
 def _one_way(channel: Channel, joint: str) -> bool:
-    """Tell whether a joint's usable samples all go the same way, or there are none."""
+    """Return whether a joint's usable samples all move in the same direction, or there are no such samples."""
     speed, mine = f"v_{joint}", channel.outputs.index(joint) if joint in channel.outputs else None
     v = [
         row[speed][mask[:, mine]]
@@ -180,7 +180,7 @@ _MIN_EXPLAINED_SHARE = 0.8  # share of the best that a grid point explains where
 
 
 def find_alias_periods(selection: StepwiseSelection) -> list[tuple[float, ...]]:
-    """Return the periods [m or rad] that each cyclic error found may have; none for other causes and motion sampled in time."""
+    """Return the possible periods [m or rad] of each cyclic error found; empty for other causes and motion sampled in time."""
     poses = selection.channel.poses
     found: list[tuple[float, ...]] = []
     for one in selection.found:

@@ -61,7 +61,7 @@ class EvaluatedFit:
     @property
     def parameters(self) -> Parameters:
         """The fitted parameters."""
-        assert self.estimate is not None  # only the nominal values have none
+        assert self.estimate is not None  # only the nominal values lack one
         return self.estimate.parameters
 
 
@@ -174,19 +174,19 @@ def compute_gain(
     rng: np.random.Generator,
     shown: Confirmation | None = None,
 ) -> Gain:
-    """Return how much smaller the error of some outputs is on the test data.
+    """Return the reduction of the error of some outputs on the test data.
 
-    Where the share `s` of a predicted change `x` is true, the sums of squares are `N + s^2 |x|^2` before it and
+    If the share `s` of a predicted change `x` is true, the sums of squares are `N + s^2 |x|^2` before it and
     `N + (1 - s)^2 |x|^2` with it. With `s` from generalised least squares the interval follows from its standard error, and
-    always holds the measured reduction; raw residuals scatter by far more than white ones. Without `s` it is a bootstrap of
+    always contains the measured reduction; raw residuals scatter far more than white ones. Without `s` it is a bootstrap of
     paired blocks.
 
     Args:
         channel: The data.
         before: Residuals (n, m) of each run without the cause.
         after: The same with it.
-        joints: Outputs that count; all where none of them is an output.
-        rng: For the bootstrap.
+        joints: Outputs that are used; all outputs if the list names no output.
+        rng: Random numbers of the bootstrap.
         shown: Share of the predicted effect that this part shows.
     """
     which = [k for k, output in enumerate(channel.outputs) if output in joints] or list(range(len(channel.outputs)))

@@ -80,7 +80,7 @@ def _build_finding(
     inflation = max(group.overdispersion for group in one.candidate.fits)
     parameters = estimate_uncertainty(null_model, effects, values, inflation)
     first = effects[0]
-    known = channel.scene.signals  # a law of a voltage is no twin where none is logged
+    known = channel.scene.signals  # a law of a voltage is no alternative if no voltage is logged
     alike = [t for e in effects for t in e.equivalent if t not in EFFECTS or VOLTAGE not in {*EFFECTS[t].needs} - known]
     rivals = [twin for twin in one.rivals if twin not in alike]
     experiments = [
@@ -112,9 +112,10 @@ def _build_finding(
 def estimate_uncertainty(
     null_model: NullModel, effects: Sequence[Effect], values: Parameters, inflation: float
 ) -> Parameters:
-    """Return amplitudes and refined settings with standard errors that count each other's uncertainty.
+    """Return amplitudes and refined settings with standard errors that include each other's uncertainty.
 
-    An amplitude that the baseline's refit absorbs has none (a shared motor's inertia, which the links' inertia takes).
+    An amplitude that the baseline's refit absorbs has no standard error (a shared motor's inertia, which the links' inertia
+    absorbs).
     """
     rows, columns = [], [null_model.rows(effect) for effect in effects]
     slopes = []
@@ -215,10 +216,10 @@ def describe_diagnosis(
     Args:
         channel: The measurements.
         verdict: The verdict on everything but loads.
-        findings: All findings but those of loads.
-        aliased: Those whose period is open.
-        unexplained: Structure without a name.
-        errors: Of the refitted and of the extended model, and in the band of the search if that is wider.
+        findings: All findings except those of loads.
+        aliased: Findings whose period is not identifiable.
+        unexplained: Structure without a known cause.
+        errors: Errors of the refitted and of the extended model, and in the band of the search if that is wider.
         loads: Findings of confirmed loads, which come first.
     """
     if channel.name == "force":

@@ -50,16 +50,16 @@ _DEPENDS = "its amplitude changes by {:.1f} standard errors with the rejected {}
 
 @dataclass(frozen=True, eq=False)
 class ExaminationOptions:
-    """Circumstances of an examination.
+    """Options of an examination.
 
     Attributes:
-        rng: For noise draws and intervals.
+        rng: Random numbers for noise draws and intervals.
         progress: Called with a word for each step.
-        noise: Encoder noise alone, of forces.
+        noise: Forces due to encoder noise alone.
         physics: Physical consistency of the baseline's values.
         nominal: The baseline's values before any fit (p,); by default its parameters' own.
         gap_s: Memory of the filters [s], if causes may be confirmed within the training logs.
-        doubt: The reason why no cause may be confirmed; empty where there is none.
+        doubt: The reason why no cause may be confirmed; empty if causes may be confirmed.
     """
 
     rng: np.random.Generator
@@ -236,7 +236,7 @@ def _is_companion(
 
 
 def explain_dependence(one: SelectedCause, values: Parameters, earlier: Sequence[AmplitudesWithRejected]) -> str:
-    """Return why a cause of a repeated selection may stand in for a rejected one; empty where it does not."""
+    """Return the reason why a cause of a repeated selection may replace a rejected one; empty if it does not."""
     for fit in earlier:
         changes = []
         for effect in one.candidate.effects:
@@ -254,10 +254,10 @@ def explain_dependence(one: SelectedCause, values: Parameters, earlier: Sequence
 def _require_consistency(
     found: Examination, options: ExaminationOptions, earlier: Sequence[AmplitudesWithRejected]
 ) -> Examination:
-    """Reject confirmed causes of a repeated selection that may stand in for a rejected one.
+    """Reject confirmed causes of a repeated selection that may replace a rejected one.
 
     Such a cause is confirmed for the first time, or with another amplitude, and its joints' residual is not consistent with the
-    noise, or holds the rejected cause still.
+    noise, or still contains the rejected cause.
     """
     claims = found.claims
     if not claims.kept:
@@ -319,7 +319,7 @@ def _assess_noise_consistency(found: Examination, options: ExaminationOptions) -
 
 
 def _with_limit(selection: StepwiseSelection, one: SelectedCause, finding: Finding) -> Finding:
-    """Return a confirmed finding with its detection limit; a rejected candidate has none."""
+    """Return a confirmed finding with its detection limit; a rejected candidate has no limit."""
     if finding.why_not_confirmed:
         return finding
     return replace(finding, detection_limit=compute_finding_limit(selection, one))

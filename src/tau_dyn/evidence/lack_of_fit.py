@@ -76,7 +76,7 @@ def find_poor_fits(regression: Regression, residuals: Sequence[np.ndarray]) -> t
 
 
 def describe_poor_fits(found: Sequence[PoorFit]) -> list[CodedWarning]:
-    """Return the warning that names the joints of a poor fit; none without any."""
+    """Return the warning that names the joints of a poor fit; empty if there are no such joints."""
     if not found:
         return []
     listed = ", ".join(f"{one.joint} ({100 * one.missed_share:.0f} %)" for one in found)

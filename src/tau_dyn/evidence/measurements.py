@@ -23,7 +23,7 @@ _SHARED = (TRAIN, VALIDATION, TRAIN, TEST, TRAIN)
 _WITHIN = (TRAIN, VALIDATION, TRAIN, TRAIN)
 _MAX_BLOCK_S = 6.0  # [s] of the longest block
 _MIN_BLOCKS = 15
-"""Blocks that a log is cut into, where they stay long enough; of fewer none would see all parts of the motion."""
+"""Least number of blocks of a log, if they are long enough; with fewer blocks, no part would contain all of the motion."""
 _MIN_GAPS = (6.0, 4.0, 3.0)
 """Least length of a block in gaps at a border: a block between two borders keeps 2/3, 1/2 or 1/3 of its samples. The first that
 gives every part something is taken."""
@@ -105,7 +105,7 @@ def _count_blocks(duration: float, size: int, least_s: float) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """Measurements of one kind: all that a fit, a noise model, a confirmation of columns and a gain need.
+    """Measurements of one kind: the data for a fit, a noise model, a confirmation of columns and a gain.
 
     Attributes:
         name: `force`, `tool`, `deflection` or `position`.
@@ -113,7 +113,7 @@ class Measurements:
         units: Units of the outputs.
         parameters: Parameters of the baseline's columns (p).
         runs: Baseline columns and measurements.
-        parts: Part of each sample (n,) of each run: `TRAIN`, `VALIDATION`, `TEST`, or -1 for none.
+        parts: Part of each sample (n,) of each run: `TRAIN`, `VALIDATION`, `TEST`, or -1 for unused samples.
     """
 
     name: str

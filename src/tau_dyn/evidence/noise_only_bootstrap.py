@@ -22,12 +22,12 @@ from tau_dyn.evidence.channel import Channel, ColumnCache
 from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, NullModel, WhiteResidual, compute_score_test
 
 N_BOOTSTRAP_DRAWS = 4
-"""Draws of encoder noise; what it makes of a cause on one of them may be near nothing, or four times the mean."""
+"""Draws of encoder noise; the statistic of a cause on one of them may be near zero, or four times the mean."""
 NONCENTRALITY_SAFETY_FACTOR = 2.0  # on an estimate from few draws, which is off by up to a factor of two
 
 
 class NoiseOnlyBootstrap:
-    """Channels of logs that hold nothing but the baseline and encoder noise, made when first needed."""
+    """Channels of logs that hold only the baseline and encoder noise, made when first needed."""
 
     def __init__(self, make: Callable[[], Sequence[Channel]]) -> None:
         """`make` returns the channels, a draw of noise each."""

@@ -30,7 +30,8 @@ from tau_dyn.evidence.measurements import Measurements
 from tau_dyn.log import find_true_runs
 
 WHOLE_TIME = "t_whole"
-"""Time through all logs, one after the other, where there are several: what settles may go on in the next one, or begin anew."""
+"""Time through all logs, one after the other, if there are several: a transient may continue in the next log, or start
+again."""
 SMOOTH_DEGREE = 4  # of the smooth functions of a variable
 _MAX_ORDER = 8  # of the autoregressive model of the residual, selected below it
 
@@ -121,7 +122,7 @@ def _smooth_own(variables: Mapping[str, np.ndarray], output: str) -> np.ndarray:
 
 
 def smooth(x: np.ndarray, degree: int = SMOOTH_DEGREE) -> list[np.ndarray]:
-    """Return Legendre polynomials of degree 1 to `degree` of a variable (n,) scaled to its range; none if constant."""
+    """Return Legendre polynomials of degree 1 to `degree` of a variable (n,) scaled to its range; empty if it is constant."""
     low, high = float(x.min()), float(x.max())
     if not high > low:
         return []
@@ -133,8 +134,9 @@ PRIOR_WEIGHT_BLOCKS = 10.0
 """Weight against the scatter of blocks, in blocks: of 'the noise model is right' on the training data, and of the training
 part's own scatter on the held-out one."""
 MIN_UNABSORBED_SHARE = 1e-4
-"""Part of a column's square that the baseline leaves, below which the baseline's refit absorbs it. It is not smaller
-because encoder noise sits in the baseline's columns: a smooth copy of one of them would be left with that noise, and find it."""
+"""Share of a column's square that the baseline leaves, below which the baseline's refit absorbs it. It is not smaller because
+the baseline's columns contain encoder noise: a smooth copy of one of them would keep that noise as its residual, and detect
+it."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -56,7 +56,7 @@ def measure_scales(
 
 
 def measure_friction(parameters: Parameters, scene: Scene) -> dict[str, dict[str, float]]:
-    """Return the friction of each joint of a fitted model [N or N m, and per speed]; nothing where it has none."""
+    """Return the friction of each joint of a fitted model [N or N m, and per speed]; empty if it has no friction."""
     found: dict[str, dict[str, float]] = {}
     for k, joint in enumerate(scene.joints):
         own: dict[str, float] = {}
@@ -123,8 +123,8 @@ def find_inconsistent(effects: Sequence[Effect], values: Parameters, step_s: flo
 def is_distinct_from_zero(effects: Sequence[Effect], estimate: Estimate, min_z: float) -> bool:
     """Return whether the amplitudes together are distinct from zero: a Wald test at the level of `min_z` standard errors.
 
-    Amplitudes that move against each other may each be known badly and yet not both be zero. Of the two covariances of an
-    estimate the one that finds less counts. Amplitudes without a standard error, as at a bound, are left out.
+    Correlated amplitudes may each be poorly determined and yet not both be zero. The less significant result of the two
+    covariances of an estimate is used. Amplitudes without a standard error, as at a bound, are left out.
     """
     base, parameters = estimate.base, estimate.parameters
     own = {name for effect in effects for name in effect.parameters.names}

@@ -1,4 +1,4 @@
-"""When is another reading of a log or a pose file accepted: another sign, joint, scale, unit or clock, or forces without gravity?
+"""Acceptance of another reading of a log or a pose file: another sign, joint, scale, unit or clock, or forces without gravity.
 
 Readings have no parameter, or one number a column. Each is compared with the data as read by its log marginal likelihood,
 Laplace's approximation about the maximum a posteriori fit (MacKay 1992; Kass & Raftery 1995; Burnham & Anderson 2002, 2.2):
@@ -16,7 +16,8 @@ whose fit has no prior. A reading is named only if four conditions hold.
    one half and loses in the other. Poses are no sequence; four fifths of them have to fit well.
 4. **No veto**: recorded velocities, and limits of position, speed and force in the robot file, do not contradict it.
 
-Readings closer than `ALIAS_NATS` are told together. A reading is advised or applied only after the data read so pass the test.
+Readings closer than `ALIAS_NATS` are reported together. A reading is recommended or applied only if the data read in this way
+pass the test.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ LIMIT_MARGIN = 2.0
 reach twice the rated torque."""
 
 MIN_MODEL_ERROR = 0.002
-"""Least model error, as a share of a joint's force, at which readings are told apart: filters and masks leave as much."""
+"""Least model error, as a share of a joint's force, at which readings are distinguished: filters and masks leave as much."""
 
 MAX_NUMBER_STDERR = 0.3
 """Largest relative standard error of a number that a reading estimates; beyond it, the log does not determine the reading."""
@@ -117,7 +118,8 @@ class ReadingTest:
     """The measure by which readings are judged.
 
     Attributes:
-        size: Size of each output (na,): root mean square force [N or N m]; of poses 1 and the angle [rad] alike to the spread.
+        size: Size of each output (na,): root mean square force [N or N m]; for poses, 1 and the angle [rad] that corresponds to
+            the spread.
         model_error: Least residual of a sound robot, as a share of the size.
         is_fine: Whether each joint must be explained to `EXPLAINED`.
         max_good_share: Largest residual of the outputs concerned, as a share of the size.
@@ -223,7 +225,7 @@ def is_hopeless(test: ReadingTest, fit: ReadingFit, noise: np.ndarray) -> bool:
 
 
 def is_part_missing(left: float, *, is_single: bool) -> bool:
-    """Return whether the share that is left of gravity, or of the bodies' forces, is consistent with none."""
+    """Return whether the remaining share of gravity, or of the bodies' forces, is consistent with zero."""
     return abs(left) < (MAX_LEFT_AT_JOINT if is_single else MAX_LEFT)
 
 
@@ -245,7 +247,7 @@ def permits_speed_scale(recorded: np.ndarray, expected: np.ndarray) -> bool:
 
 
 def permits_size(logged: np.ndarray, read: np.ndarray, limit: np.ndarray) -> bool:
-    """Return whether limits (na,) permit a reading: what they hold as logged (na,) may not exceed them by far as read (na,)."""
+    """Return whether limits (na,) permit a reading: signals within them as logged (na,) may not far exceed them as read (na,)."""
     kept = np.isfinite(limit) & (limit > 0) & (logged <= limit)
     return bool(np.all(read[kept] <= LIMIT_MARGIN * limit[kept]))
 

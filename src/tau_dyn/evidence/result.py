@@ -55,7 +55,7 @@ class OutputErrors:
 
     @property
     def used_share(self) -> float:
-        """Share of the samples of all outputs that the masks leave; all of them where nothing else is known."""
+        """Share of the samples of all outputs that the masks leave; by default all of them."""
         return float(np.mean(self.used_shares)) if self.used_shares else 1.0
 
     def to_dict(self) -> dict[str, Any]:
@@ -76,13 +76,13 @@ class OutputErrors:
 
 @dataclass(frozen=True, eq=False)
 class SearchBand:
-    """Errors on the test data in the band in which causes are searched, where errors are reported in a narrower one.
+    """Errors on the test data in the band in which causes are searched, if errors are reported in a narrower one.
 
     Attributes:
         cutoff_hz: Upper end of the band [Hz].
         baseline: Errors of the refitted model.
         extended: Errors of the extended model.
-        noise_floor: What no model of these variables can get below.
+        noise_floor: Lower bound of the error of any model of these variables.
     """
 
     cutoff_hz: float
@@ -111,15 +111,15 @@ class Step:
 
 @dataclass(frozen=True)
 class Gain:
-    """What a cause is worth on the test data.
+    """Improvement by a cause on the test data.
 
     Attributes:
-        rms_before: Rms over the cause's outputs without it [unit of the output]; of poses the rms position error [m].
+        rms_before: Rms over the cause's outputs without it [unit of the output]; for poses, the rms position error [m].
         rms_after: The same with it.
-        reduction_percent: Reduction of the error [%]; of poses that of position and orientation, each over its noise.
+        reduction_percent: Reduction of the error [%]; for poses, of position and orientation, each divided by its noise.
         ci95: Its 95 % interval [%].
-        p_value: Chance of so much gain where there is none, by a paired test over poses; None where data are in blocks.
-        orientation_rms_before: Rms orientation error of poses without it [rad]; None where orientation is not predicted.
+        p_value: Probability of so large a gain without an effect, by a paired test over poses; None for data in blocks.
+        orientation_rms_before: Rms orientation error of poses without it [rad]; None if orientation is not predicted.
         orientation_rms_after: The same with it.
     """
 

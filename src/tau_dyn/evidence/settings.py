@@ -93,7 +93,7 @@ def _grown(fit: GroupTest, null_model: NullModel) -> GroupTest:
 
 
 def find_edge(effects: Sequence[Effect], scene: Scene) -> str:
-    """Return the setting that is at an open end of its grid, as a phrase; empty where none does."""
+    """Return the setting that is at an open end of its grid, as a phrase; empty if there is no such setting."""
     for effect in effects:
         free = {*effect.refined, *effect.open_ends}
         fixed = {key: value for key, value in effect.settings.items() if key not in free}
@@ -134,8 +134,8 @@ def find_unbelievable(candidate: CandidateCause, null_model: NullModel) -> str:
 def estimate_amplitudes(effect: Effect, null_model: NullModel) -> np.ndarray:
     """Return an effect's amplitudes (k,) next to everything in the null model, within their bounds at zero.
 
-    Minimises `x' G x - 2 x' C'e` with `G` the Gram matrix of what the null_model leaves of the columns `C`; directions that it
-    leaves nothing of stay at zero.
+    Minimises `x' G x - 2 x' C'e` with `G` the Gram matrix of the columns' `C` residuals on the null model; directions that the
+    null model absorbs stay at zero.
     """
     C = null_model.rows(effect)
     scale = np.maximum(np.linalg.norm(C, axis=0), 1e-300)

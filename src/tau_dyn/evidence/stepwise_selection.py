@@ -33,14 +33,15 @@ from tau_dyn.evidence.settings import find_unbelievable, refine_settings
 from tau_dyn.evidence.unknown_structure import MIN_2LOGL_DIFFERENCE, Structure, find_structure
 
 MAX_CAUSES = 5
-"""Causes looked for at most."""
+"""Largest number of causes."""
 MIMIC_MARGIN = 12.0
-"""Merit by which an unnamed structure must beat a cause to unseat it: chance alone, over all sets of variables, gives 12."""
+"""Difference of the penalised statistic by which an unnamed structure must exceed a cause to replace it: chance alone, over all
+sets of variables, gives 12."""
 MIMIC_RATIO = 1.5
-"""And how many times more it must explain, unless it needs less freedom; a cause that is most of the truth keeps its name, and
-what is left gets none."""
+"""Factor by which the structure must also explain more, unless it has fewer degrees of freedom; a cause that is most of the
+truth keeps its name, and its residual gets no name."""
 STEADIER_RATIO = 1.15
-"""The same where the cause explains by fits and starts, as a wrong law does, and the structure alike at all times."""
+"""The same factor if the cause's contribution is irregular in time, as with a wrong law, and the structure's is regular."""
 
 
 @dataclass(frozen=True, eq=False)

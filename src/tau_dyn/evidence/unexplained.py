@@ -145,7 +145,7 @@ def build_unexplained(
 def _gains(null_model: WhiteResidual, others: Columns, structure: Structure) -> bool:
     """Return whether the test data are predicted better, with the 95 % interval above zero, as with a cause.
 
-    Of another log's drift, it has to show the dependence that the validation data of that log show.
+    For a drift of another log, the test data have to show the dependence that the validation data of that log show.
     """
     known = VALIDATION if _differs_between_logs(null_model.measurements, structure) else TRAIN
     shown = confirm_columns(null_model, [structure.columns], others, (TEST,), fitted_on=(known,))

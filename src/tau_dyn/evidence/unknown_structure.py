@@ -98,7 +98,7 @@ class Dependence(NamedTuple):
 
 
 def list_dependences(values: Sequence[Values], output: str) -> list[Dependence]:
-    """Return the hypotheses of an output: each variable with every joint's direction or none, each pair with its own.
+    """Return the hypotheses of an output: each variable without direction or with each joint's, each pair with its own.
 
     Predicted forces of other joints are tried alone; the output's own force is tried in pairs with its own variables as well.
     """
@@ -148,10 +148,10 @@ class Structure:
         on: The output, the variables, and whose direction of motion it follows.
         statistic: Its score statistic, in units of the noise.
         dof: Number of its columns.
-        p_value: Chance on clean data, all sets tried taken into account.
-        n_effective_tests: Number of independent tries that the search over sets amounts to.
-        penalised_statistic: The statistic less the cost of its columns, not divided by the scatter of blocks as `T` is.
-        share: Its part of the output's residual variance.
+        p_value: p-value on clean data, corrected for all sets tried.
+        n_effective_tests: Effective number of independent tests in the search over sets.
+        penalised_statistic: The statistic minus the cost of its columns, not divided by the scatter of blocks as `T` is.
+        share: Its share of the output's residual variance.
         columns: Its columns (n, m, k) of each run.
         formula: A simple expression, or empty.
         alike: Other sets of variables that explain as much, best first.

@@ -1,6 +1,6 @@
-"""Figures as data: axes, marks on them, strips of a time view. Who draws them, and how, is the renderer's.
+"""Figures as data: axes, marks on them, strips of a time view. Renderers draw them.
 
-Coordinates are data, [unit] as the axis says; an `ink` names a colour and a thickness of the style sheet.
+Coordinates are data in the [unit] of the axis; an `ink` names a colour and a thickness of the style sheet.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 THIRD, HALF, WHOLE = 344, 520, 1060
-"""Widths of drawings that stand three or two in a row of a card, or alone [px]."""
+"""Widths of drawings, three, two or one in a row of a card [px]."""
 SMALL = (THIRD, 240)
-"""Width and height of a drawing of which several stand in a row [px]."""
+"""Width and height of a drawing in a row of several [px]."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class Label:
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Cells of an even grid, u (nu,) and v (nv,), in the inks of their classes; `of` (nu, nv) is a class, negative for none."""
+    """Cells of an even grid, u (nu,) and v (nv,), in the inks of their classes `of` (nu, nv); a negative class is not drawn."""
 
     u: np.ndarray
     v: np.ndarray
@@ -139,10 +139,10 @@ class Figure(Drawing):
     Attributes:
         x: The horizontal axis.
         y: The vertical axis.
-        marks: What is drawn, first below.
-        title: What it shows, in a corner; also read out by screen readers.
+        marks: The marks, the first one at the bottom.
+        title: Description of the contents, in a corner; also read out by screen readers.
         size: Width and height [px at 100 %].
-        unit: Of the values of `Levels`, above their scale.
+        unit: Unit of the values of `Levels`, above their scale.
         style: Further style of the drawing, such as `vectors`.
     """
 
@@ -235,9 +235,9 @@ class Curve:
     """One line of a time view.
 
     Attributes:
-        name: What it is, for the readout.
+        name: Name of the line, for the readout.
         ink: Its colour's name: `measured`, `predicted` or `residual`.
-        values: Its values (n,), NaN where there are none.
+        values: Its values (n,), NaN where missing.
     """
 
     name: str
@@ -251,7 +251,7 @@ class Strip:
 
     Attributes:
         label: Quantity and unit.
-        curves: What is drawn, first below.
+        curves: The curves, the first one at the bottom.
         limits: Range of the axis.
         height: Height on the screen [px].
         masked: Whether unused stretches are shaded here.
@@ -276,8 +276,8 @@ class View:
         t: Even times (n,) [s].
         strips: The strips, top down.
         held_out: Whether all of it is held-out data.
-        bands: Stretches [s] to shade for what they served, and the shade's name: `held` or `confirm`.
-        usable: Samples that are used (n,); the others are shaded where a strip wants that. None for all.
+        bands: Stretches [s] to shade by their use, and the shade's name: `held` or `confirm`.
+        usable: Samples that are used (n,); strips with `masked` shade the others. None for all.
     """
 
     log: str

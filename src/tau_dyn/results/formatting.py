@@ -1,8 +1,8 @@
-"""Numbers in words: with their uncertainty, in the unit a person would use (20.9 mm rather than 0.0209 m), and lists.
+"""Numbers as text: with their uncertainty, in a readable unit (20.9 mm rather than 0.0209 m), and lists.
 
 `±` is a standard error (`95.14 ± 0.20 kg`); minus signs are true ones. Results and files stay in SI.
 
-Any result as plain data for JSON: dataclasses, arrays, numbers that are none, names, paths.
+Any result as plain data for JSON: dataclasses, arrays, missing numbers, names, paths.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any, Protocol
 
 Z95 = 1.959964  # two-sided 95 % point of the normal distribution
 _MAX_STDERR = 1e300
-"""A standard error beyond this has no decimals that a float could say."""
+"""A standard error beyond this has no decimals that a float can represent."""
 PREFIXED = ("m", "m/s", "rad", "rad/s", "s")
 """Units that take a prefix where the number is small."""
 
@@ -32,7 +32,7 @@ class Estimated(Protocol):
 
     @property
     def stderr(self) -> float | None:
-        """Its standard error [unit]; None for none."""
+        """Its standard error [unit], or None."""
         ...
 
     @property
@@ -48,7 +48,7 @@ def format_number(value: float, digits: int = 4) -> str:
 
 
 def format_limit(limit: float, digits: int = 3) -> str:
-    """Return a limit as a number; `none` where there is none."""
+    """Return a limit as a number, or as `none`."""
     return format_number(limit, digits) if isfinite(limit) else "none"
 
 
@@ -122,7 +122,7 @@ def count(n: int, noun: str) -> str:
 
 
 def format_thousands(n: int) -> str:
-    """Return a whole number with its thousands apart."""
+    """Return a whole number with thousands separators."""
     return f"{n:,}".replace(",", " ")
 
 
@@ -158,7 +158,7 @@ def format_estimate(p: Estimated) -> str:
 
 
 def format_estimate_interval(p: Estimated) -> str:
-    """Return a parameter's 95 % interval in the unit of `format_estimate`; empty where it has none."""
+    """Return a parameter's 95 % interval in the unit of `format_estimate`; empty if it has no interval."""
     if p.stderr is None or not p.stderr > 0:
         return ""
     factor, _ = choose_unit(p.unit, p.value)
@@ -171,7 +171,7 @@ def format_interval(ends: Iterable[float], stderr: float) -> str:
 
 
 def end_sentence(text: str) -> str:
-    """Return a text that ends in a full stop; nothing stays nothing."""
+    """Return a text that ends in a full stop; an empty text stays empty."""
     return text if not text or text.endswith((".", "!", "?")) else f"{text}."
 
 
@@ -189,15 +189,15 @@ def to_plain(value: Any, *, leave_out: Iterable[str] = ()) -> Any:
     """Return a value as dicts, lists, strings, numbers and None.
 
     A dataclass or a named tuple becomes a dict of its fields, an array nested lists, NaN and infinity None, a complex number
-    `re` and `im`, an enum its value, a path and a date their text, a set a sorted list. A value with a `to_dict` of its own says
-    itself what it is.
+    `re` and `im`, an enum its value, a path and a date their text, a set a sorted list. A value with its own `to_dict` is
+    converted by that method.
 
     Args:
-        value: What to turn into data.
-        leave_out: Fields of the outermost dataclass that are not told.
+        value: The value to convert.
+        leave_out: Fields of the outermost dataclass that are left out.
 
     Raises:
-        TypeError: It holds something that is no data, such as a function.
+        TypeError: It contains an object that is not data, such as a function.
     """
     if is_dataclass(value) and not isinstance(value, type):
         hidden = set(leave_out)

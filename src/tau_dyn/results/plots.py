@@ -51,15 +51,15 @@ def _make_axes(rows: int) -> tuple[Figure, Any]:
 def plot_outputs(stretches: Sequence[PlottedSegment], outputs: Sequence[str], units: Sequence[str]) -> Figure:
     """Return a figure with one row an output: measured, predicted, and the residual of the last prediction.
 
-    Samples that do not count are left out of the residual. Stretches follow each other with a gap.
+    Unused samples are left out of the residual. Stretches follow each other with a gap.
 
     Args:
-        stretches: What is drawn, in this order.
+        stretches: The stretches to draw, in this order.
         outputs: Names of the outputs (m).
         units: Their units (m).
 
     Raises:
-        InputError: Matplotlib is not installed, or there is nothing to draw.
+        InputError: Matplotlib is not installed, or there are no data to draw.
     """
     if not stretches:
         raise InputError("unsupported", "no samples are kept in memory, so that nothing can be drawn")
@@ -88,9 +88,9 @@ class PlottedResponse(NamedTuple):
     """A frequency response.
 
     Attributes:
-        name: What it is.
+        name: Its name in the legend.
         frequency: (F,) [Hz].
-        value: From inputs to outputs (F, p, m), complex; nan where unknown.
+        value: Response from inputs to outputs (F, p, m), complex; nan where unknown.
     """
 
     name: str
@@ -104,7 +104,7 @@ def plot_responses(
     """Return a figure with one row an output: magnitudes of responses from each input, and the frequencies of modes.
 
     Args:
-        responses: What is drawn; the first one as points.
+        responses: The responses to draw; the first one as points.
         outputs: Names of the outputs (p).
         inputs: Names of the inputs (m).
         modes_hz: Frequencies of modes [Hz].

@@ -24,7 +24,7 @@ MEMORY_ROWS = 2
 
 
 class Hypothesis(NamedTuple):
-    """A change of one kind: the output that it acts on (-1 for all), and columns (n, m, d) of each run; none for a factor."""
+    """A change of one kind: its output (-1 for all), and columns (n, m, d) of each run; an empty list for a factor."""
 
     kind: Kind
     output: int

@@ -30,7 +30,7 @@ BLOCKS_TOGETHER = (1, 2, 4)
 MIN_SCATTER_BLOCKS = 8
 """Joined blocks from which their scatter is used; fewer do not estimate a variance."""
 MIN_FACTOR = 1e-3
-"""Smallest factor by which forces are divided; a channel that dies has none."""
+"""Smallest factor by which forces are divided; a dead channel has factor zero."""
 LEVEL = 1e-6
 """Chance, by the test, that any of the logs of one fit gets a change that it does not have. It is stricter than the level of a
 cause: ten blocks of a residual with structure have heavier tails than their F distribution, and a true change exceeds the bound
