@@ -49,7 +49,7 @@ _ENCODERS = 3.0  # standard deviations of the encoders' noise
 
 
 def has_forces(robot: Robot, logs: Sequence[Log]) -> bool:
-    """Tell whether all logs have the force of every actuated joint."""
+    """Return whether all logs have the force of every actuated joint."""
     return all(log.has("tau", robot.actuated) for log in logs)
 
 

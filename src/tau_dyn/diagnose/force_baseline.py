@@ -291,7 +291,7 @@ def _fitted(
 
 
 def detect_position_periodicity(channel: ForceChannel, smooth_hz: Sequence[float]) -> bool:
-    """Tell whether positions above `smooth_hz` [Hz] repeat with the place, up to the frequencies that forces are looked at.
+    """Return whether positions above `smooth_hz` [Hz] repeat with the place, up to the frequencies that forces are looked at.
 
     Pieces in which these lie hardly above it are passed over: what little is between is in the columns anyway.
     """

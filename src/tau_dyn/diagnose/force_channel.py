@@ -57,7 +57,7 @@ class ForceChannel(Channel):
         prepared: The stretches at their logs' own rate.
         thinned: Their motions at the regression's rate, for quick scans.
         preparation: Filters and masks.
-        reported: The same logs, filtered and masked as an identification does; None where too few test data are left of them.
+        reported: The same logs, filtered and masked as an identification does; None if too few test data are left of them.
     """
 
     prepared: tuple[PreparedSegment, ...]

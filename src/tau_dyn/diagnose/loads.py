@@ -276,7 +276,7 @@ class _Study:
         return Load(group, values, known, finding)
 
     def _doubt(self, found: BodyEstimate, change: CampaignChange, gain: Gain, confirmed: bool) -> str:
-        """Return why a body is only suspected, in words; empty where it is not."""
+        """Return why a body is only suspected, in words; empty if it is not."""
         mass = float(found.values[0])
         total = float(sum(link.nominal[0] for link in self.robot.links))
         away = float(np.linalg.norm(np.where(found.known[1:4], found.values[1:4], 0.0)))

@@ -31,7 +31,7 @@ POSE_S = 1.0
 
 @dataclass(frozen=True, eq=False)
 class MeasuredSegment:
-    """One even stretch of a log, or its poses held still, with a position that the encoders do not read.
+    """One even stretch of a log, or its static poses, with a position that the encoders do not read.
 
     Attributes:
         log: The stretch.

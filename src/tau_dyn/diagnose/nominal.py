@@ -56,7 +56,7 @@ measured to about one per cent."""
 
 
 def describe_body_difference(model: Model, nominal: Parameters, estimate: Estimate | None) -> str:
-    """Return that the bodies differ from their trusted values and no single cause explains it; empty where that is not so.
+    """Return that the bodies differ from their trusted values and no single cause explains it; empty if that is not so.
 
     Args:
         model: Names links.
@@ -146,7 +146,7 @@ def _combined_stderr(p: Parameter, n: Parameter) -> float:
 
 
 def _is_common_factor(ratio: np.ndarray, sigma: np.ndarray) -> bool:
-    """Tell whether one factor, far from one, explains all masses, of which these are ratios to the nominal ones (n,)."""
+    """Return whether one factor, far from one, explains all masses, of which these are ratios to the nominal ones (n,)."""
     weight = 1 / sigma**2
     mean = float(ratio @ weight / weight.sum())
     scatter = float(np.sum(((ratio - mean) / sigma) ** 2))

@@ -373,7 +373,7 @@ def _complement(directions: Sequence[np.ndarray], n: int) -> np.ndarray:
 
 
 def _fit(difference: BaseParameterDifference, cause: str, place: str, B: np.ndarray) -> Explanation | None:
-    """Return an explanation's amplitudes by generalised least squares; None where it has no effect."""
+    """Return an explanation's amplitudes by generalised least squares; None if it has no effect."""
     norm = np.linalg.norm(B, axis=0)
     if not norm[0] > _MIN_EFFECT * np.linalg.norm(difference.combine, axis=0).max():
         return None

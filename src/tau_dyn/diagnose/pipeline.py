@@ -122,7 +122,7 @@ def diagnose_tool(
 
     Args:
         model: Its robot's geometry gives forward kinematics, its masses the loads.
-        logs: Logs with `q_J` and `x_tool y_tool z_tool`, sampled in time or poses held still.
+        logs: Logs with `q_J` and `x_tool y_tool z_tool`, sampled in time or static poses.
         holdout: Held-out logs.
         seed: Seed of noise draws and intervals.
         progress: Called with a word for each step.
@@ -318,7 +318,7 @@ def _answer(
 def _measure_search_band(
     channel: Channel, before: EvaluatedFit, after: EvaluatedFit, cutoff_hz: float, seed: int
 ) -> SearchBand | None:
-    """Return the errors in the band in which causes are searched; None where errors are reported in the same one."""
+    """Return the errors in the band in which causes are searched; None if errors are reported in the same one."""
     if channel.report() is channel:
         return None
     floor = estimate_noise_floor(channel, after, np.random.default_rng(seed))

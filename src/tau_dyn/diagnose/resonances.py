@@ -136,7 +136,7 @@ def _clear_hz(channel: Channel) -> float:
 
 
 def _one(a: Mode, b: Mode) -> bool:
-    """Tell whether two modes lie within half their resonance's width: one matrix holds both shapes."""
+    """Return whether two modes lie within half their resonance's width: one matrix holds both shapes."""
     return abs(a.frequency_hz - b.frequency_hz) < a.damping_ratio * a.frequency_hz / 2
 
 

@@ -6,7 +6,7 @@ The measuring device's frame is first laid on the robot's (Kabsch 1976), so that
 that frame (three shifts, three turns) and each joint's zero, as far as they do not depend on each other (three equal zeros
 of parallel guideways are a shift). The robot's geometry is taken as calibrated.
 
-Logs sampled in time are low-passed like forces. Poses held still, recognised by a sampling too slow to show motion, count one
+Logs sampled in time are low-passed like forces. Static poses, recognised by a sampling too slow to show motion, count one
 by one; a joint's direction is that of its way from the pose before, on which it is taken not to turn back.
 """
 
@@ -86,7 +86,7 @@ def cut(log: Log) -> list[Log]:
 
 
 def is_static(log: Log) -> bool:
-    """Tell whether a log holds poses: sampled too slowly to show motion."""
+    """Return whether a log holds poses: sampled too slowly to show motion."""
     return log.rate_hz < MIN_RATE_HZ
 
 
@@ -175,7 +175,7 @@ class ToolChannel(MeasuredChannel):
 
     @property
     def poses(self) -> bool:
-        """Whether some of the logs are poses held still."""
+        """Whether some of the logs are static poses."""
         return any(piece.cutoff_hz is None for piece in self.pieces)
 
     def run_columns(self, effect: Effect, run: int) -> np.ndarray:

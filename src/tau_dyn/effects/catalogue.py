@@ -183,7 +183,7 @@ def acts_on_recording(effect: Effect) -> bool:
 
 
 def describe_missing_state(effect: Effect, given: Collection[str]) -> str:
-    """Return why a state `(q, v, a)` and the signals given do not determine an effect's force; empty where they do."""
+    """Return why a state `(q, v, a)` and the signals given do not determine an effect's force; empty if they do."""
     if acts_on_recording(effect):
         return "it distorts what is recorded and leaves the robot's force as it is"
     missing = [name for name in effect.needs if name not in given]

@@ -278,7 +278,7 @@ class Effect(ABC):
 
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
-        """Return why this motion cannot show the effect and the experiment that would, or None where it can.
+        """Return why this motion cannot show the effect and the experiment that would, or None if it can.
 
         The experiment is `NO_EXPERIMENT` where the robot lacks the part.
         """

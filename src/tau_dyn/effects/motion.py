@@ -29,7 +29,7 @@ class LazySignals(Mapping[str, np.ndarray]):
         return self._made[name]
 
     def __contains__(self, name: object) -> bool:
-        """Tell whether there is such a signal, without computing it."""
+        """Return whether there is such a signal, without computing it."""
         return name in self._make
 
     def __iter__(self) -> Iterator[str]:

@@ -65,7 +65,7 @@ class Channel(Measurements, ABC):
 
     @property
     def poses(self) -> bool:
-        """Whether some of the logs are poses held still, of which several periods of a cyclic error may fit equally."""
+        """Whether some of the logs are static poses, of which several periods of a cyclic error may fit equally."""
         return False
 
     def list_known_columns(self) -> list[Sequence[np.ndarray]]:

@@ -73,7 +73,7 @@ class Claims:
 
     Attributes:
         found: Causes in the order found.
-        why_not: For each the reason why it is not confirmed, in words; empty where it is.
+        why_not: For each the reason why it is not confirmed, in words; empty if it is.
         tests: The test of each on the validation data.
     """
 
@@ -297,7 +297,7 @@ def is_worse(gain: Gain, tolerance_percent: float = 100 * MAX_RELATIVE_RMS_INCRE
 
 
 def explain_gain(gain: Gain) -> str:
-    """Return why a gain on held-out data does not confirm its cause; empty where it does."""
+    """Return why a gain on held-out data does not confirm its cause; empty if it does."""
     if gain.p_value is not None and not gain.p_value < SIGNIFICANCE_LEVEL:
         return _NOT_SHOWN
     return _NO_GAIN.format(*gain.ci95) if gain.ci95[0] <= 0 else ""

@@ -68,7 +68,7 @@ def compute_detection_limits(
 
 
 def compute_finding_limit(search: StepwiseSelection, one: SelectedCause) -> Limit | None:
-    """Return the detection limit of a selected cause with all others in the model; None where the baseline absorbs it."""
+    """Return the detection limit of a selected cause with all others in the model; None if the baseline absorbs it."""
     null_model = search.null_model.with_effects(search.others(one))
     limit = _limit(null_model, one.candidate, len(search.last) + len(search.found))
     return limit if isinstance(limit, Limit) else None
@@ -126,7 +126,7 @@ def _limit(null_model: NullModel, candidate: CandidateCause, causes: int) -> Lim
 
 
 def _amplitude(null_model: NullModel, fit: GroupTest, families: int) -> float | None:
-    """Return the amplitude seen with 95 % power, or None where it would exceed half of the measurement."""
+    """Return the amplitude seen with 95 % power, or None if it would exceed half of the measurement."""
     effect = select_median_setting(null_model.channel, fit.effect)
     C = null_model.rows(effect)
     units = [p.unit for p in effect.parameters]
@@ -143,7 +143,7 @@ def _amplitude(null_model: NullModel, fit: GroupTest, families: int) -> float | 
 
 
 def _owned(null_model: NullModel, candidate: CandidateCause) -> bool:
-    """Tell whether the baseline has parameters for exactly this, and not only on a motion that never turns back."""
+    """Return whether the baseline has parameters for exactly this, and not only on a motion that never turns back."""
     for fit in candidate.tested:
         C = null_model.rows(fit.effect)
         if np.trace(null_model.gram(C)) > OWNED * np.trace(C.T @ C):

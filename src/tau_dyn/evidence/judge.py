@@ -80,7 +80,7 @@ class Examination:
         claims: The selected causes with their status.
         waterfall: The waterfall with the gains.
         tests: Tests on the validation data.
-        periods: Periods that fit each selected cause equally, for poses held still.
+        periods: Periods that fit each selected cause equally, for static poses.
         consistency: Test of each output's residual against its noise; empty if a cause is confirmed.
         findings: The selected and the rejected causes as findings.
         unexplained: Structure without a name.

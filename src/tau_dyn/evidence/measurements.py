@@ -165,7 +165,7 @@ _USES = {TRAIN: "train on", VALIDATION: "confirm on", TEST: "measure the gain on
 
 
 def refuse_scarce(channel: Measurements, least: Sequence[int], short: str, have: str, wanted: str) -> None:
-    """Refuse measurements that leave one of the three parts too little.
+    """Reject measurements that leave one of the three parts too little.
 
     Args:
         channel: The measurements.

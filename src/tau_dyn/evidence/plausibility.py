@@ -80,12 +80,12 @@ def widen_scales(first: JointScales, *others: JointScales) -> JointScales:
 
 
 def find_implausible(effects: Sequence[Effect], values: Parameters, scales: JointScales) -> str:
-    """Return the amplitude outside its plausible range, as a phrase; empty where all lie within."""
+    """Return the amplitude outside its plausible range, as a phrase; empty if all lie within."""
     return next((text for effect in effects if (text := effect.find_implausible(values, scales))), "")
 
 
 def find_out_of_range(parameters: Sequence[Parameter]) -> str:
-    """Return the parameter beyond its bounds by more than its uncertainty, as a phrase; empty where all lie within."""
+    """Return the parameter beyond its bounds by more than its uncertainty, as a phrase; empty if all lie within."""
     for p in parameters:
         spare = MAX_EXCESS_STDERR * (p.stderr or 0.0)
         if not p.lower - spare <= p.value <= p.upper + spare:
@@ -96,7 +96,7 @@ def find_out_of_range(parameters: Sequence[Parameter]) -> str:
 
 
 def find_inconsistent(effects: Sequence[Effect], values: Parameters, step_s: float) -> str:
-    """Return that a time which all joints share differs from joint to joint, as a phrase; empty where it does not.
+    """Return that a time which all joints share differs from joint to joint, as a phrase; empty if it does not.
 
     Channels that one controller reads in turn are anywhere within one sample, so times that differ by less are one.
 

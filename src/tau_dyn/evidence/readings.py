@@ -142,7 +142,7 @@ class ReadingTest:
         return bool(explained and as_good and after.log_p - before.log_p > MIN_LACK_NATS)
 
     def accepts(self, before: ReadingFit | None, after: ReadingFit) -> bool:
-        """Return whether a reading gains enough, and mends a joint or spares the bodies; `before` is None where no fit exists."""
+        """Return whether a reading gains enough, and mends a joint or spares the bodies; `before` is None if no fit exists."""
         if self.is_fine and np.any(np.sqrt(after.power) > EXPLAINED * self.size):
             return False
         if (

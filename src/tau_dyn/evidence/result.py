@@ -41,8 +41,8 @@ class OutputErrors:
         ci95: Its 95 % interval (m, 2), from blocks.
         relative_error_percent: `100 norm(residual) / norm(measured)` over all outputs.
         relative_ci95: Its 95 % interval, from blocks.
-        all_samples: Rms of each output and relative error of the same stretches without masks; None where not known.
-        used_shares: Share of these stretches' samples that the masks leave, for each output; empty where not known.
+        all_samples: Rms of each output and relative error of the same stretches without masks; None if not known.
+        used_shares: Share of these stretches' samples that the masks leave, for each output; empty if not known.
     """
 
     outputs: tuple[str, ...]
@@ -203,7 +203,7 @@ class Finding(Brief):
         score: Twice the gain in log-likelihood on the training data (of a move between two files, on the later one).
         p_value: Chance of such a score on clean data, all causes and settings tried taken into account.
         parameters: Amplitudes and settings with their standard errors.
-        gain: Its gain on the test data; None where the baseline's refit absorbs it.
+        gain: Its gain on the test data; None if the baseline's refit absorbs it.
         indistinguishable_from: Causes that these data do not separate from it.
         equation: The law in one line.
         sentence: The finding in one sentence.

@@ -123,7 +123,7 @@ def replace_at_edge(fit: GroupTest, null_model: NullModel) -> GroupTest:
 
 
 def find_unbelievable(candidate: CandidateCause, null_model: NullModel) -> str:
-    """Return which amplitude is far beyond its plausible range, as a phrase; empty where all are near it."""
+    """Return which amplitude is far beyond its plausible range, as a phrase; empty if all are near it."""
     for fit in candidate.fits:
         values = fit.effect.parameters.with_values(estimate_amplitudes(fit.effect, null_model))
         if why := fit.effect.find_implausible(values, null_model.channel.scene.scales, SEARCH_MARGIN):

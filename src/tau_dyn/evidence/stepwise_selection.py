@@ -288,6 +288,6 @@ def _is_beaten(fit: GroupTest, structure: Structure) -> bool:
 
 
 def _is_outshone(fit: GroupTest, null_model: NullModel) -> bool:
-    """Tell whether a law without a name, as free as this one, is more likely."""
+    """Return whether a law without a name, as free as this one, is more likely."""
     others = [rescore_group(replace(fit, effect=effect), null_model) for effect in fit.effect.lookalikes()]
     return any((other.statistic - fit.statistic) / fit.overdispersion > MIN_2LOGL_DIFFERENCE for other in others)

@@ -195,7 +195,7 @@ class ShapePicture(Drawing):
 
 
 def find_space_axes(outputs: Sequence[str]) -> dict[str, int]:
-    """Return which output is which axis of one point: `x_tool y_tool`, `ax_tool ay_tool az_tool`; empty where they are not."""
+    """Return which output is which axis of one point: `x_tool y_tool`, `ax_tool ay_tool az_tool`; empty if they are not."""
     found: dict[str, dict[str, int]] = {}
     for k, name in enumerate(outputs):
         match = re.fullmatch(r"([av]?)([xyz])(?:_(\w+))?", name)

@@ -191,7 +191,7 @@ _LINK_PAIRS = (("parent_link", "child_link"), ("parentLink", "childLink"), ("par
 
 
 def _refuse_gazebo_loops(root: Element, links: Sequence[str], where: str) -> None:
-    """Refuse loops that Gazebo closes outside of the tree: without them, the passive joints would be taken as held still.
+    """Reject loops that Gazebo closes outside of the tree: without them, the passive joints would be taken as held still.
 
     Raises:
         InputError: A joint or a plugin of a `<gazebo>` element connects two links of the tree.

@@ -102,7 +102,7 @@ class _Gap:
         return np.concatenate(rows) @ self.spread[:, moved]
 
     def descend(self, start: np.ndarray, moved: list[int]) -> np.ndarray | None:
-        """Return the closure (nv,) that least squares over some joints reaches, None where gaps are left."""
+        """Return the closure (nv,) that least squares over some joints reaches, None if gaps are left."""
 
         def place(part: np.ndarray) -> np.ndarray:
             x = start.copy()

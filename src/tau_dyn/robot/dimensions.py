@@ -101,7 +101,7 @@ class TableChanges:
         return yaml.serialize(root) if len(self._used) > used else text
 
     def require_all_used(self, arguments: list[str], where: str) -> None:
-        """Refuse a name that neither arguments nor tables have.
+        """Reject a name that neither arguments nor tables have.
 
         Raises:
             UnknownName: The message lists the names that exist at that place.

@@ -237,7 +237,7 @@ def _rename_twins(document: Document) -> None:
 
 
 def is_xacro(path: Path, document: Document) -> bool:
-    """Tell whether a robot file is to be evaluated: by its name, or by xacro's namespace on its root."""
+    """Return whether a robot file is to be evaluated: by its name, or by xacro's namespace on its root."""
     root: Any = document.documentElement
     return path.name.endswith(".xacro") or root.hasAttribute("xmlns:xacro") or root.tagName.startswith("xacro:")
 
@@ -249,7 +249,7 @@ def _list_arguments(document: Document) -> dict[str, str]:
 
 
 def _check_arguments(path: Path, declared: Mapping[str, str], given: Mapping[str, str]) -> None:
-    """Refuse a text where a robot of ours has a number, and a negative number where it has a positive one."""
+    """Reject a text where a robot of ours has a number, and a negative number where it has a positive one."""
     if path not in list_robot_names().values():
         return
     for name, text in given.items():

@@ -91,7 +91,7 @@ class Item:
         return value if self.compiler.get("angle", "degree") == "radian" else float(np.deg2rad(value))
 
     def limits(self, key: str, switch: str) -> np.ndarray | None:
-        """Return a range (2,), or None where it does not count."""
+        """Return a range (2,), or None if it does not count."""
         said = self.get(switch, "auto")
         by_itself = self.compiler.get("autolimits", "true") != "false"
         if said == "false" or key not in self.values or (said != "true" and not by_itself):

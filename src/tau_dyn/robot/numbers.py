@@ -36,7 +36,7 @@ MAX_LINKS = 1000
 
 
 def check_depth(document: Document, where: str) -> None:
-    """Refuse a file with elements so deep inside each other that a parser would use up its stack.
+    """Reject a file with elements so deep inside each other that a parser would use up its stack.
 
     Raises:
         InputError: It names the file.
@@ -45,7 +45,7 @@ def check_depth(document: Document, where: str) -> None:
 
 
 def check_tree(root: Element, where: str) -> None:
-    """Refuse a tree too deep or of too many links, as `check_depth` does for a document.
+    """Reject a tree too deep or of too many links, as `check_depth` does for a document.
 
     Raises:
         InputError: It names the file.
@@ -69,7 +69,7 @@ def _refuse_deep(root: Any, children: Callable[[Any], Iterable[Any]], where: str
 
 
 def check_parents(root: Element, where: str) -> None:
-    """Refuse links with two parents, and links that hang on themselves.
+    """Reject links with two parents, and links that hang on themselves.
 
     The parser builds a joint twice for the one and forgets the other, mass and all, in silence.
 

@@ -58,7 +58,7 @@ def find_package(name: str, near: Path, given: Mapping[str, str | Path] | None =
 
 
 def resolve_mesh(name: str, near: Path, given: Mapping[str, str | Path] | None = None) -> Path | None:
-    """Return the file that a mesh's `filename` means, or None where it is not there.
+    """Return the file that a mesh's `filename` means, or None if it is not there.
 
     Args:
         name: A path, `file://...`, `package://NAME/...` or `model://NAME/...`.
@@ -143,7 +143,7 @@ class StockRobot:
 
 @cache
 def list_stock_robots() -> dict[str, Path]:
-    """Return the robots of the installed package `example-robot-data`: name -> file; empty where it is not installed."""
+    """Return the robots of the installed package `example-robot-data`: name -> file; empty if it is not installed."""
     found: dict[str, Path] = {}
     try:
         listed = files_of("example-robot-data") or ()
@@ -158,7 +158,7 @@ def list_stock_robots() -> dict[str, Path]:
 
 
 def find_described_robot(name: str) -> StockRobot | None:
-    """Return a robot of `robot_descriptions`, or None where that or its cache does not hold one of this name."""
+    """Return a robot of `robot_descriptions`, or None if that or its cache does not hold one of this name."""
     if not re.fullmatch(r"\w+_description", name):
         return None
     package = PathFinder.find_spec("robot_descriptions")

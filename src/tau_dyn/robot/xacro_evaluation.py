@@ -64,7 +64,7 @@ def check_expression(text: str) -> None:
 
 
 def _small(power: ast.expr) -> bool:
-    """Tell whether an exponent is written out and small: 9**9**9 would be computed to its last digit."""
+    """Return whether an exponent is written out and small: 9**9**9 would be computed to its last digit."""
     power = power.operand if isinstance(power, ast.UnaryOp) else power
     return isinstance(power, ast.Constant) and isinstance(power.value, int | float) and power.value <= _MAX_EXPONENT
 

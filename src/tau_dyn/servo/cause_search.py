@@ -205,7 +205,7 @@ def _take_out(
     least: float,
     progress: Callable[[str], None],
 ) -> tuple[LoopUnknowns, LoopFit] | None:
-    """Return unknowns and fit without a cause at a joint; None where it takes off more than a share of the variance there."""
+    """Return unknowns and fit without a cause at a joint; None if it takes off more than a share of the variance there."""
     cause, j = place
     progress(f"without {cause.replace('_', ' ')}")
     left, _ = _hold_null(data, u, fit, [place])

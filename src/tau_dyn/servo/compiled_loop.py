@@ -392,7 +392,7 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
 def run_compiled(
     waves: Waves, trials: Trials, often: int, limits: tuple[float, ...], sweeps: int, motion: bool
 ) -> np.ndarray | None:
-    """Return what `loop.simulate_loops` steps (1 or 3, N, na, C, S), or None where compiled code is not possible here.
+    """Return what `loop.simulate_loops` steps (1 or 3, N, na, C, S), or None if compiled code is not possible here.
 
     Args:
         waves: What logs and robot give.

@@ -86,7 +86,7 @@ class ConsistentBodies:
         self._at = (np.zeros(self._k), np.zeros(rest.shape[1]))  # where the last search ended
 
     def find(self, z: np.ndarray) -> Divergence | None:
-        """Return the divergence at unknowns (K,), or None where a body cannot exist whatever w is."""
+        """Return the divergence at unknowns (K,), or None if a body cannot exist whatever w is."""
         for start in (self._at, (np.zeros(self._k), np.zeros(self.within.shape[1]))):
             at, w = start
             for _ in range(MAX_STEPS):

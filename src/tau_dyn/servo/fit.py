@@ -127,7 +127,7 @@ class LoopProblem:
         return problem
 
     def keep_inertial(self, x: np.ndarray) -> list[np.ndarray] | None:
-        """Return the sensitivities to inertial unknowns at a vector (n,), for trials near it; None where they are few."""
+        """Return the sensitivities to inertial unknowns at a vector (n,), for trials near it; None if they are few."""
         count = self.unknowns.space.n_unknowns
         return (
             [rows[-count:] for rows in self.differentiate(x)[1].rows]

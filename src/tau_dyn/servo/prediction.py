@@ -46,7 +46,7 @@ class SimulatedMotion(NamedTuple):
     """A log's motion, simulated, at its samples (N, na): positions of the measured side, the links' positions and speeds.
 
     Accelerations are means over the time from half a sample before to half a sample after. `unsettled` is the time [s] from
-    which loads and motion kept changing each other, None where they settled.
+    which loads and motion kept changing each other, None if they settled.
     """
 
     q: np.ndarray

@@ -257,7 +257,7 @@ class LoopLogs:
 
 
 def is_loop_log(log: Log | Recording, robot: Robot) -> bool:
-    """Tell whether a log is one of commands and positions without a torque."""
+    """Return whether a log is one of commands and positions without a torque."""
     names = robot.actuated
     if not isinstance(log, Log) or not (log.has("q", names) and log.has("cmd", names)):
         return False

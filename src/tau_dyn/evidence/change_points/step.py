@@ -88,7 +88,7 @@ def select_hypothesis(
 ) -> tuple[Hypothesis, float] | None:
     """Return the hypothesis of the largest statistic, each column at the price of Schwarz' criterion, and its time [s].
 
-    None where not even independent noise in the rows would make it significant: coloured noise makes a chance larger.
+    None if not even independent noise in the rows would make it significant: coloured noise makes a chance larger.
     """
     best: tuple[float, Hypothesis, float] | None = None
     for hypothesis in hypotheses:
@@ -140,7 +140,7 @@ class Step(NamedTuple):
 
 
 def fit_step(data: LogData, hypothesis: Hypothesis, time_s: float) -> Step | None:
-    """Return the step with noise and time of its own; None where the rows do not show one.
+    """Return the step with noise and time of its own; None if the rows do not show one.
 
     Its time is looked for in rows that are weighed but not whitened: an autoregressive filter would smear the step.
     """

@@ -55,7 +55,7 @@ class OrderedRows:
 
 
 def make_rows(data: LogData, noise: Sequence[Autoregression]) -> OrderedRows | None:
-    """Return white rows; None where the log is too short for its columns."""
+    """Return white rows; None if the log is too short for its columns."""
     runs, rich = data.runs, _build_smooth_columns(data.regression)
     known = data.columns
     if sum(int(run.usable.sum()) for run in runs) < 2 * (sum(x[0].shape[1] for x in rich) + known[0].shape[2]):
