@@ -1,4 +1,4 @@
-r"""The deflection channel: a motor-side encoder, divided by the gear, against an encoder on the load side of the same joint.
+r"""The deflection channel: a motor-side encoder, divided by the gear ratio, minus a load-side encoder of the same joint.
 
     q - q_link = zero + sum of effects' displacements + noise
 
@@ -79,7 +79,7 @@ class ClockOffset(JointwiseDisplacement):
         return [0.5 * (joint.v + joint.signal(LOAD_SPEED))]
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return which side is late, and by how much."""
+        """Return the side that is late, and its delay."""
         p = values["clock_offset"]
         later, sooner = ("load", "motor") if p.value >= 0 else ("motor", "load")
         size = Parameter(p.name, abs(p.value), p.unit, stderr=p.stderr)
@@ -169,7 +169,7 @@ def build_deflection_channel(
     """Build the channel.
 
     Args:
-        robot: Names the joints.
+        robot: The robot, for the names of its joints.
         train: Logs with `q_J`, `tau_J` and `q_link_J` of the same joints.
         held: Held-out logs.
         causes: Causes that may be found.
@@ -256,7 +256,7 @@ class Reading:
 
 
 def estimate_stiffness(channel: DeflectionChannel, seed: int = 0) -> list[Reading]:
-    """Return all readings; a loop takes, on each joint, the distance of its grid that fits best."""
+    """Return all estimates; for a loop, the distance of its grid that fits best on each joint."""
     return [_reading(channel, causes, np.random.default_rng(seed)) for causes in READINGS]
 
 
@@ -277,7 +277,7 @@ def _reading(channel: DeflectionChannel, causes: Sequence[type[Effect]], rng: np
 
 
 def _on(channel: DeflectionChannel, causes: Sequence[type[Effect]], joint: str) -> list[Effect]:
-    """Return the causes on one joint, at the settings of their grids that leave least on training and confirmation parts."""
+    """Return the causes on one joint, at the grid settings with the least residual on training and confirmation parts."""
     unit = channel.scene.units[channel.scene.index(joint)]
     grids = [cls.grid(channel.scene, (joint,)) or [{}] for cls in causes]
     grids = [grid if cls.refined else grid[:1] for cls, grid in zip(causes, grids, strict=True)]

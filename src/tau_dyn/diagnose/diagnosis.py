@@ -81,7 +81,7 @@ _CHOICES: tuple[Choice, ...] = ("neither", "extended", "refitted")
 
 
 def merge_diagnoses(found: Sequence[Diagnosis]) -> Diagnosis:
-    """Return several channels' diagnoses as one, the first leading."""
+    """Return the diagnoses of several channels as one; the first takes precedence."""
     first, others = found[0], found[1:]
     if not others:
         return first
@@ -126,7 +126,7 @@ def _extended(first: Diagnosis, others: Sequence[Diagnosis]) -> Model:
 
 
 def _only_unknown(effect: Effect, known: set[str]) -> Effect | None:
-    """Return an effect on those of its joints that it does not have in the model yet; the first channel's values stay."""
+    """Return an effect on the joints on which the model does not have it yet; the first channel's values are kept."""
     if not known & set(effect.parameters.names):
         return effect
     joints = [
@@ -157,11 +157,11 @@ def log_with_references(logs: Sequence[Log], joints: Sequence[str]) -> Log:
 def add_simulation(
     diagnosis: Diagnosis, logs: Sequence[Log], law: CascadeLaw, progress: Callable[[str], None] = lambda step: None
 ) -> Diagnosis:
-    """Return a diagnosis with `simulation`: how far the closed loop is from a log before and after the extension.
+    """Return a diagnosis with `simulation`: the error of the closed loop against a log, before and after the extension.
 
     Args:
-        diagnosis: Gives both models.
-        logs: Training logs; the first with `q_ref_J` is driven again.
+        diagnosis: The diagnosis, with both models.
+        logs: Training logs; the first with `q_ref_J` is simulated.
         law: The rig's own controller.
         progress: Called with a word for each step.
 
@@ -181,7 +181,7 @@ def add_simulation(
     return replace(diagnosis, simulation=simulation, warnings=doubts)
 
 
-@threadpool_limits.wrap(limits=1)  # its matrices are many and narrow: more threads only wait for each other
+@threadpool_limits.wrap(limits=1)  # many narrow matrices: more threads only wait for each other
 def diagnose(
     robot: Robot | Identification,
     logs: Log | Recording | Iterable[Log | Recording] = (),
@@ -249,7 +249,7 @@ def diagnose(
             except CannotAnswer as fault:
                 if not found:
                     raise
-                more = f"tool positions were not looked at: {fault.missing}"  # forces have their answer
+                more = f"tool positions were not looked at: {fault.missing}"  # forces are diagnosed
                 found[0] = replace(found[0], warnings=(*found[0].warnings, more))
         if links:
             found.append(
@@ -263,14 +263,14 @@ def diagnose(
 
 
 def _with_provenance(found: Diagnosis, train: Sequence[Log], held: Sequence[Log]) -> Diagnosis:
-    """Return a diagnosis both models of which name their logs."""
+    """Return a diagnosis whose two models name their logs."""
     source = list_provenance(train, held, found.seed)
     model, extended = (replace(one, provenance=source) for one in (found.model, found.extended_model))
     return replace(found, model=model, extended_model=extended)
 
 
 def load_into_memory(logs: Sequence[Log | Recording]) -> list[Log]:
-    """Return logs that are in memory; a search looks at all of a log again and again."""
+    """Return logs in memory; a search reads all samples of a log repeatedly."""
     odd = [log.name for log in logs if isinstance(log, Recording)]
     if odd:
         raise InputError(
@@ -280,7 +280,7 @@ def load_into_memory(logs: Sequence[Log | Recording]) -> list[Log]:
 
 
 def _forces_missed(found: Diagnosis, robot: Robot, logs: Sequence[Log]) -> Diagnosis:
-    """Say so where forces were not looked at, since some are not there."""
+    """Add a warning if forces were not diagnosed because some of them are missing."""
     if has_forces(robot, logs):
         return found
     missing = [f"tau_{j}" for j in robot.actuated if not all(log.has("tau", [j]) for log in logs)]

@@ -70,7 +70,7 @@ _MIN_BAND_RATIO = 1.25  # least ratio of the upper to the lower end of the band
 _HIGHPASS_ORDER = 8
 """Order of the high-pass, run forwards and backwards: it leaves 1e-8 of an amplitude at a third of its cutoff."""
 _EDGE_FACTOR = 3
-"""Edges left out, in those of the usual low-pass, which rings for a third of the time."""
+"""Edges left out, as a multiple of those of the usual low-pass, which rings for a third of the time."""
 _WAVE_LEVEL = 1e-6
 """Significance level of any wave in positions that hold noise alone; true waves exceed its threshold by far, since positions
 are hardly noisy."""
@@ -87,7 +87,7 @@ def name_load(logs: Sequence[str]) -> str:
 
 
 def compute_load_columns(model: Model, prepared: Sequence[PreparedSegment]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return columns (n, na, 10) of a body fixed to the end link, masked as forces are and without masks, of each piece."""
+    """Return columns (n, na, 10) of a body fixed to the end link, of each piece, with the masks of forces and without masks."""
     body = find_end_link(model.robot)
     assert body is not None  # a robot with several ends has no loads
     ten = [f"{body.link}.{quantity}" for quantity in INERTIAL]
@@ -102,7 +102,7 @@ def compute_load_columns(model: Model, prepared: Sequence[PreparedSegment]) -> l
 
 @dataclass(frozen=True, eq=False)
 class FittedBaseline:
-    """A baseline fitted to logs, ready to be doubted.
+    """A baseline fitted to logs, ready for the search of causes.
 
     Attributes:
         nominal: The baseline before the fit.
@@ -114,7 +114,7 @@ class FittedBaseline:
         clear_hz: Low-pass of the forces that springs carry [Hz].
         held: Whether a piece belongs to a held-out log.
         pieces: Even stretches of the training logs, then of the held-out logs, as they were logged.
-        warnings: Doubts about the logs.
+        warnings: Warnings about the logs.
         loads: Bodies that some logs carry at the tool beyond the others.
     """
 
@@ -291,9 +291,9 @@ def _fitted(
 
 
 def detect_position_periodicity(channel: ForceChannel, smooth_hz: Sequence[float]) -> bool:
-    """Return whether positions above `smooth_hz` [Hz] repeat with the place, up to the frequencies that forces are looked at.
+    """Return whether positions above `smooth_hz` [Hz] repeat with the position, up to the highest frequency of forces.
 
-    Pieces in which these lie hardly above it are passed over: what little is between is in the columns anyway.
+    Pieces in which that frequency is hardly above `smooth_hz` are skipped: their columns contain nearly the whole band.
     """
     rng = np.random.default_rng(0)
     return any(_wave(channel, joint, smooth_hz, rng) for joint in channel.scene.joints)

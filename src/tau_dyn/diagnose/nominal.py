@@ -28,9 +28,10 @@ from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import Robot, compute_nominal_stderr
 
 MAX_GAIN_RANGE = (0.5, 2.0)
-"""Factor of a logged force: a torque constant is off by 30 % at most, a wrong pulley or winding by two; more is a unit."""
+"""Factor of a logged force: a torque constant is wrong by 30 % at most, a wrong pulley or winding by a factor of two; a larger
+factor is a wrong unit."""
 MIN_GAIN_ERROR = 5e-3
-"""Deviation of a logged force's factor from one that no torque sensor or torque constant is calibrated to."""
+"""Deviation of a logged force's factor from one that is below the calibration error of torque sensors and torque constants."""
 MAX_MASS_SHARE = 2.0
 """Payload or mass over the mass of all bodies; no robot carries more than twice its own mass."""
 
@@ -38,13 +39,13 @@ MAX_MASS_SHARE = 2.0
 def find_parameter_changes(
     model: Model, nominal: Parameters, fitted: Parameters, estimate: Estimate | None = None
 ) -> list[Finding]:
-    """Return a finding for each mass that is off its nominal value, or one for what explains all that is off.
+    """Return a finding for each mass that differs from its nominal value, or one finding that explains all differences.
 
     Args:
-        model: Names links and units.
+        model: The model, for names of links and units.
         nominal: Values before the fit.
         fitted: Values of the final model, with standard errors.
-        estimate: The fit behind them, of which base parameters are compared; None to compare masses alone.
+        estimate: The fit behind them, whose base parameters are compared; None to compare masses alone.
     """
     found = _find_deviations(model, nominal, fitted, estimate)
     return [_suspect_implausible(finding, model.robot, nominal) for finding in found]
@@ -59,7 +60,7 @@ def describe_body_difference(model: Model, nominal: Parameters, estimate: Estima
     """Return that the bodies differ from their trusted values and no single cause explains it; empty if that is not so.
 
     Args:
-        model: Names links.
+        model: The model, for names of links.
         nominal: Trusted values.
         estimate: The fit whose base parameters are compared.
     """
@@ -101,14 +102,14 @@ def _find_deviations(model: Model, nominal: Parameters, fitted: Parameters, esti
 
 
 def _suspect_place(finding: Finding, places: Sequence[str]) -> Finding:
-    """Return a finding as `suspected` where the same cause at another link or joint explains as much."""
+    """Return a finding as `suspected` if the same cause at another link or joint explains as much."""
     if not places:
         return finding
     return replace(finding, status="suspected", why_not_confirmed=f"{' or '.join(places)} instead explains as much")
 
 
 def _suspect_small(finding: Finding, share: float) -> Finding:
-    """Return a finding as `suspected` where nominal bodies need the same force, to what filters leave of exact data."""
+    """Return a finding as `suspected` if nominal bodies need the same force, within the errors of filters on exact data."""
     if share >= MIN_FORCE_SHARE:
         return finding
     why = f"nominal bodies need the same force to {100 * share:.1g} %, and no force is measured to that"
@@ -173,7 +174,7 @@ def _build_gain_finding(ratio: np.ndarray, sigma: np.ndarray, p_value: float) ->
 
 
 def _build_finding(model: Model, found: Explanation, score: float) -> Finding:
-    """Return the finding of one explanation of all that is off."""
+    """Return the finding of one explanation of all differences."""
     robot, stderr = model.robot, float(np.sqrt(found.cov[0, 0]))
     if found.cause == "payload":
         link = find_end_link(robot)
@@ -195,7 +196,7 @@ def _build_finding(model: Model, found: Explanation, score: float) -> Finding:
         owner = found.place or "drive"
         share = float(found.amplitudes[0])
         factor, name = 1 + share, "gain"
-        if found.cause == "force_scale":  # its share is of the force as it was logged
+        if found.cause == "force_scale":  # its share refers to the logged force
             factor, stderr, name = 1 / (1 - share), stderr / (1 - share) ** 2, "force_scale"
         parameters = (Parameter(f"{owner}.{name}", factor, "1", stderr=stderr, origin="bodies over nominal bodies"),)
         whose = f"logged force of {owner} is" if found.place else "logged forces are"

@@ -53,16 +53,16 @@ from tau_dyn.message_codes import CodedWarning
 from tau_dyn.robot import Robot
 
 BAND_FACTOR = 20.0
-"""Highest frequency looked at, in edges of the motion's own band; a tooth passes many times in one stroke."""
+"""Highest frequency used, in edges of the motion's own band; a tooth passes many times in one stroke."""
 SLOW_SHARE = 0.01  # speed at which a joint's direction has to be known, as a share of its fast speed
 MIN_DIRECTION_SNR = 5.0
-"""Speeds whose direction is sure, in the velocity's noise."""
+"""Least speed of certain direction, in standard deviations of the velocity's noise."""
 REVERSAL_GAP_PERIODS = 1.0
 """Time masked around a reversal, in periods of the position filter. A joint may rest unseen for half a period, with friction
 anywhere between both directions, and the filter spreads the start over the same time. Unmasked rests resemble hysteresis and
 delays."""
 OVERSAMPLING = 5.0
-"""Rate of a log that is worth keeping, in cutoffs of the position filter."""
+"""Rate to which a log is decimated, in cutoffs of the position filter."""
 SMOOTH_FACTOR = 2.0
 """Share of the frequency up to which the motion exceeds the encoder's noise; a wider filter lets noise into the columns."""
 
@@ -70,9 +70,9 @@ SMOOTH_FACTOR = 2.0
 def choose_diagnosis_preparation(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ...]) -> Preparation:
     """Choose filters for finding causes, which may act far above the motion's own band.
 
-    The band of the forces is as wide as encoder noise allows: above it, that noise times a mass is all there is to see, and a
-    noise model spends itself on it. Positions are low-passed as widely as leaves ten times the velocity's noise below 1 % of
-    the fast speeds, so that reversals are seen sharply.
+    The band of the forces is as wide as encoder noise permits: above it, forces show only that noise times a mass, on which a
+    noise model would use up its order. The low-pass of positions is as wide as possible with ten times the velocity's noise
+    below 1 % of the fast speeds, so that reversals are sharp.
     """
     plain = choose_preparation(robot, logs, exclude)
     rate = min(log.rate_hz for log in logs)
@@ -131,7 +131,7 @@ def keep_diagnosable(
 
 
 def decimate_log(log: Log, cutoff_hz: float) -> Log:
-    """Return a log at a lower rate, where it is sampled far faster than a low-pass at `cutoff_hz` needs."""
+    """Return a log at a lower rate if it is sampled far faster than a low-pass at `cutoff_hz` needs."""
     factor = int(log.rate_hz // (OVERSAMPLING * cutoff_hz))
     if factor < 2:
         return log
@@ -167,28 +167,28 @@ def smooth_cutoffs(robot: Robot, train: Sequence[Log], held: Sequence[Log]) -> t
 def clear_cutoff(robot: Robot, logs: Sequence[Log]) -> float:
     """Return the low-pass [Hz] of the forces that springs carry.
 
-    A spring's force on the load is the fourth derivative of a position: above this, its column would be encoder noise, and the
-    residual, which holds the same noise times a mass, would speak against any spring.
+    A spring's force on the load is the fourth derivative of a position: above this frequency, its column would be encoder
+    noise, and the residual, which contains the same noise times a mass, would contradict any spring.
     """
     bands = [find_motion_band(log.joint("q", robot.actuated), log.rate_hz) for log in logs]
     return float(max(max(band.clear_edge_hz.max(), band.edge_hz.max()) for band in bands))
 
 
 def compute_border_gap_s(cutoff_hz: float, rate_hz: float) -> float:
-    """Return the time [s] on both sides of a border in which a low-pass at `cutoff_hz` still remembers the other side."""
+    """Return the time [s] on both sides of a border in which a low-pass at `cutoff_hz` still depends on the other side."""
     return 0.5 * compute_edge_samples(cutoff_hz, rate_hz) / rate_hz
 
 
 MAX_TIME_S = 0.1
-"""Longest delay and time constant that are looked for: the end of the plausible range of `delay` and `drive_lag`."""
+"""Longest delay and time constant in the search: the end of the plausible range of `delay` and `drive_lag`."""
 MIN_TIME_S = 3e-3
-"""Time below which values are left as they are: of a motion at 2 Hz it turns 4 % of the force into another."""
+"""Time below which values are not corrected: for a motion at 2 Hz it changes 4 % of the force."""
 _STEPS_S = (1e-2, 2.5e-3, 6e-4, 1.5e-4, 4e-5)
 """Steps of the search: the misfit of motions up to 10 Hz has one minimum within 10 ms."""
 _MAX_ROWS = 8000
-"""Samples looked at, evenly over the runs: enough for a time to a tenth of a millisecond."""
+"""Samples used, evenly over the runs: enough for a time to a tenth of a millisecond."""
 _MIN_IMPROVEMENT = 0.02
-"""Share of the squared misfit that a time must take away; what noise makes of some forty tries is far less."""
+"""Share of the squared misfit by which a time must reduce it; the best of some forty tries on noise is far less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,7 +252,7 @@ class _Profile:
         self.Q = orthonormalise(self.W * self.weight[:, None])
 
     def moved(self, delays: np.ndarray, lags: np.ndarray) -> np.ndarray:
-        """Return usable forces (R,) with the outputs' delays (m,) and low-passes (m,) [s] taken out."""
+        """Return usable forces (R,) corrected for the outputs' delays (m,) and low-passes (m,) [s]."""
         found = []
         for t, y, spline, mask in zip(self.t, self.y, self.splines, self.usable, strict=True):
             whole = y.copy()
@@ -285,7 +285,7 @@ class _Profile:
     def _search(
         self, start: tuple[np.ndarray, np.ndarray], least: float, which: np.ndarray, kind: int
     ) -> tuple[float, tuple[np.ndarray, np.ndarray]]:
-        """Return the least misfit over the delay (kind 0) or the time constant (1) of some outputs (m,), and where it is."""
+        """Return the least misfit over the delay (kind 0) or the time constant (1) of some outputs (m,), and its position."""
 
         def at(x: float) -> tuple[np.ndarray, np.ndarray]:
             times = [np.array(one) for one in start]

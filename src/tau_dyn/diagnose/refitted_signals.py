@@ -25,9 +25,10 @@ from tau_dyn.log import decimate
 from tau_dyn.model import Model
 
 _MAX_ROWS = 8000
-"""Samples from which values are made: many times the number of parameters."""
+"""Samples from which values are estimated: many times the number of parameters."""
 _MAX_SHIFTED_SAMPLES = 600
-"""Samples of all joints from which zeros are found; the positions' shift is smooth, and the exact columns are made afterwards."""
+"""Samples of all joints from which zeros are estimated; the positions' shift is smooth, and the exact columns are made
+afterwards."""
 _MIN_RELATIVE_NORM = 1e-7
 """Size of a column, relative to the largest, below which it is a rounding of the robot file."""
 _WEIGHING = ("mass", "mx", "my", "mz")
@@ -37,7 +38,7 @@ part of the bodies' inertia, and masses of the robot file are more accurate."""
 _GAUSS_NEWTON_STEPS = 10
 """Steps of a zero's search; from 0.3 rad five of them reach its rounding."""
 _MAX_STEP = 0.3
-"""Largest step of a zero in multiples of one [m or rad]; the law is no more linear beyond."""
+"""Largest step of a zero in multiples of one [m or rad]; the law is not linear beyond."""
 _CONVERGED = 1e-6
 """Step of a zero below which its search ends [m or rad], far below what forces show."""
 _SATURATION_PASSES = 3
@@ -53,7 +54,7 @@ def interpolate_smooth(piece: PreparedSegment, compute: Callable[..., np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class RefittedModel:
-    """A fitted model and the training logs that it is refitted to, next to a cause.
+    """A fitted model and the training logs to which it is refitted together with a cause.
 
     Attributes:
         model: The model at fitted values.
@@ -61,7 +62,7 @@ class RefittedModel:
         prepared: All pieces.
         runs: Their regressions.
         trained: Whether a piece belongs to a training log.
-        source: The refits whose values are taken, where an effect was fitted to other pieces; None to refit to these.
+        source: The refits whose values are used if an effect was fitted to other pieces; None to refit to these.
     """
 
     model: Model
@@ -122,13 +123,13 @@ class RefittedModel:
         return values - fitted
 
     def find_largest(self, forces: Sequence[np.ndarray]) -> np.ndarray:
-        """Return the largest force (na,) of the training pieces, of forces (n, na) of all."""
+        """Return the largest force (na,) of the training pieces from forces (n, na) of all."""
         sizes = [np.abs(f).max(axis=0) for f, mine in zip(forces, self.trained, strict=True) if mine]
         return np.maximum(np.max(sizes, axis=0), 1e-300)
 
     @cached_property
     def largest(self) -> np.ndarray:
-        """The largest force (na,) that the drives give in the training logs."""
+        """The largest force (na,) of the drives in the training logs."""
         if self.source is not None:
             return self.source.largest
         values = self.model.parameters.values + self.delivered
@@ -170,7 +171,7 @@ class RefittedModel:
 
 
 def shift_safely(force: Callable[[np.ndarray], np.ndarray], q: np.ndarray, joint: int, unit: str) -> np.ndarray:
-    """Return the change of a function at displaced positions; zeros where a loop does not close there or it is rounding."""
+    """Return the change of a function at displaced positions; zero if a loop does not close there or the change is rounding."""
     here = force(q)
     try:
         found = compute_shifted_forces(force, q, joint, unit)
@@ -181,18 +182,18 @@ def shift_safely(force: Callable[[np.ndarray], np.ndarray], q: np.ndarray, joint
 
 
 def _lay_by_joint(x: np.ndarray) -> np.ndarray:
-    """Return values (n, na) as columns (n, na, na) that each act on their own joint."""
+    """Return values (n, na) as columns (n, na, na), each of which acts on its own joint."""
     return x[:, :, None] * np.eye(x.shape[1])
 
 
 @dataclass(frozen=True, eq=False)
 class _ZeroSearch:
-    """Rows from which the zero of one joint is found.
+    """Rows from which the zero of one joint is estimated.
 
     Attributes:
-        W: Weighed columns (R, p).
+        W: Weighted columns (R, p).
         changes: Their change at the four shifts (R, p, 4).
-        y: Weighed forces (R,).
+        y: Weighted forces (R,).
         free: Which parameters are refitted (p,).
         values: Values of the others (p,).
         unit: The joint's force unit.
@@ -238,7 +239,7 @@ class _ZeroSearch:
         return cls(W, changes, y, np.asarray(model.parameters.free), values, unit)
 
     def residual_rows(self, zero: float, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return columns (R, p) at a zero and what values (p,) leave there (R,)."""
+        """Return columns (R, p) at a zero and the residual (R,) of values (p,) there."""
         W = self._columns(zero)
         return W, self.y - W @ values
 

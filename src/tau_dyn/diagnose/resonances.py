@@ -47,18 +47,19 @@ from tau_dyn.parameters import Parameter
 
 ORDERS = (2, 4, 6, 8)
 MIN_FREQUENCY_HZ = 3.0
-"""Below, friction and drift look like modes."""
+"""Lowest frequency [Hz] of a mode: below, friction and drift resemble modes."""
 HEAVIEST = 0.3
-"""Damping ratio above which a mode does not ring."""
+"""Damping ratio above which a mode does not resonate."""
 KNOWN = (0.02, 0.5)
 """Largest standard errors of frequency and damping, as shares of them, of a mode that is proposed."""
 MIN_SEGMENT_S = 2.0
-"""Stretches without a reversal that are long enough to show a mode ring [s]."""
+"""Least length of stretches without a reversal in which a mode's oscillation is observable [s]."""
 MAX_SAMPLES = 20_000  # of the records that resonances are fitted to; bounds time
 ALONE = 0.95
 """Share of the statistic of a full matrix from which on a single joint's compliance is the simpler explanation."""
 _REACH = 1.25
-"""Frequency up to which modes are proposed, in those up to which the motion is clear; noise rings there in the fit only."""
+"""Frequency up to which modes are proposed, as a multiple of that up to which the motion exceeds noise; resonances above it are
+artefacts of noise."""
 _MAX_ITERATIONS = 15  # of the refinement of a proposed resonance
 _CAUSE = "structural_compliance"
 _SPREAD = 2.0  # standard errors of a frequency
@@ -78,7 +79,7 @@ def add_resonances(channel: C) -> C:
     if not found.scene.resonances or not _of_structure(found):
         return found
     causes = found.causes
-    if isinstance(channel, ToolChannel):  # there each group is a cause of its own
+    if isinstance(channel, ToolChannel):  # there each group is a separate cause
         others = (cls for cls in causes if cls.name != _CAUSE)
         causes = (*others, restrict_to_group(channel.scene.joints, StructuralCompliance))
     return replace(found, scene=replace(found.scene, structure=True), causes=causes)
@@ -116,7 +117,7 @@ def _missed(channel: Channel, effects: Sequence[StructuralCompliance | None]) ->
 
 
 def propose_resonances(channel: Channel) -> tuple[tuple[float, float], ...]:
-    """Return frequency [Hz] and damping ratio of the modes that the training part shows, the surest first."""
+    """Return frequency [Hz] and damping ratio of the modes in the training part, the best determined first."""
     records = _records(channel)
     best = _most_likely(records) if records else None
     if best is None:
@@ -136,7 +137,7 @@ def _clear_hz(channel: Channel) -> float:
 
 
 def _one(a: Mode, b: Mode) -> bool:
-    """Return whether two modes lie within half their resonance's width: one matrix holds both shapes."""
+    """Return whether two modes are within half their resonance's width: one matrix represents both shapes."""
     return abs(a.frequency_hz - b.frequency_hz) < a.damping_ratio * a.frequency_hz / 2
 
 
@@ -184,9 +185,9 @@ def _at_once(records: Sequence[Record]) -> list[np.ndarray]:
 
 
 def _records(channel: Channel) -> list[Record]:
-    """Return the training part's unbroken stretches: forces of the rigid bodies in, residual out.
+    """Return the training part's unbroken stretches: rigid-body forces as input, residual as output.
 
-    Stretches end where a joint turns back, unless that leaves less than half: then friction's jumps stay in.
+    Stretches end where a joint reverses, unless less than half of the samples would remain: then friction's jumps are kept.
     """
     if not isinstance(channel, ForceChannel | ToolChannel):
         return []

@@ -1,13 +1,13 @@
-r"""The tool channel: measured tool positions against forward kinematics of measured joint positions.
+r"""The tool channel: measured tool positions compared with forward kinematics of measured joint positions.
 
     R m + p - T(q) = frame + J zero + sum of effects' tool columns + noise
 
-The measuring device's frame is first laid on the robot's (Kabsch 1976), so that the rest is small; the baseline then refits
-that frame (three shifts, three turns) and each joint's zero, as far as they do not depend on each other (three equal zeros
-of parallel guideways are a shift). The robot's geometry is taken as calibrated.
+The measuring device's frame is first aligned with the robot's (Kabsch 1976), so that the residual is small; the baseline then
+refits that frame (three shifts, three turns) and each joint's zero, as far as they do not depend on each other (three equal
+zeros of parallel guideways are a shift). The robot's geometry is taken as calibrated.
 
 Logs sampled in time are low-passed like forces. Static poses, recognised by a sampling too slow to show motion, count one
-by one; a joint's direction is that of its way from the pose before, on which it is taken not to turn back.
+by one; a joint's direction is that of its travel from the previous pose, on which it is assumed not to reverse.
 """
 
 from __future__ import annotations
@@ -53,10 +53,10 @@ _MAX_RESTING_SHARE = 1e-4  # of a joint's range: it has not moved
 _STILL = 1e-9
 """Speed [m/s or rad/s] that rounding alone gives a joint at rest without noise."""
 _MAX_RELATIVE_DISTANCE = 0.05
-"""Distance from forward kinematics over the positions' own spread, above which the two do not belong together."""
+"""Distance from forward kinematics divided by the positions' own spread, above which the two do not match."""
 _LINE = 1e-6
-"""Squared width over squared length of all positions, below which they lie on a line and leave the turn about it open; the
-frames then have to agree beforehand."""
+"""Squared width over squared length of all positions, below which they are on a line and do not determine the turn about it;
+the frames then have to agree beforehand."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class ToolSegment(MeasuredSegment):
 
 
 def cut(log: Log) -> list[Log]:
-    """Return a log's even stretches, or the log itself where it holds poses."""
+    """Return a log's even stretches, or the log itself if it holds poses."""
     missing = [c for c in OUTPUTS if c not in log.channels]
     if missing:
         raise InputError(
@@ -91,7 +91,7 @@ def is_static(log: Log) -> bool:
 
 
 def build_tool_segment(model: Model, log: Log, preparation: Preparation | None) -> ToolSegment:
-    """Return a stretch with directions of motion, what effects feel, and forward kinematics; low-passed unless of poses."""
+    """Return a stretch with directions of motion, signals for effects and forward kinematics; poses are not low-passed."""
     joints, mechanism = model.robot.actuated, model.mechanism
     tool = np.column_stack([log.channels[c] for c in OUTPUTS])
     q = log.joint("q", joints)
@@ -122,7 +122,7 @@ def build_tool_segment(model: Model, log: Log, preparation: Preparation | None) 
 
 
 def _approach(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return from which side each pose was approached (N, na), and the way since the last reversal (N, na)."""
+    """Return the direction from which each pose was approached (N, na), and the travel since the last reversal (N, na)."""
     way = np.diff(q, axis=0, prepend=q[:1])
     way = np.where(np.abs(way) > _MAX_RESTING_SHARE * np.ptp(q, axis=0), way, 0.0)
     sign, travel = np.zeros_like(q), np.zeros_like(q)
@@ -135,7 +135,7 @@ def _approach(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def align_tool_frame(pieces: Sequence[ToolSegment]) -> list[ToolSegment]:
-    """Lay the measuring frame on the robot's, over all pieces at once."""
+    """Align the measuring frame with the robot's, over all pieces at once."""
     measured = np.concatenate([p.measured[p.usable] for p in pieces])
     predicted = np.concatenate([p.predicted[p.usable] for p in pieces])
     if len(measured) < 3:
@@ -158,7 +158,7 @@ def align_tool_frame(pieces: Sequence[ToolSegment]) -> list[ToolSegment]:
     return found
 
 
-_DEPENDENT = 1e-6  # relative norm that is left of a dependent column by rounding
+_DEPENDENT = 1e-6  # relative norm of a dependent column due to rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +197,7 @@ class ToolChannel(MeasuredChannel):
         return tuple(found)
 
     def quick_columns(self, effect: Effect) -> Sequence[np.ndarray] | None:
-        """Return a dense effect's columns on decimated motion, weakened as the low-pass weakens each sample's local frequency."""
+        """Return a dense effect's columns on decimated motion, attenuated by the low-pass at each sample's local frequency."""
         if not effect.dense or not isinstance(effect, DisplacementEffect):
             return None
         found = []
@@ -210,7 +210,7 @@ class ToolChannel(MeasuredChannel):
         return found
 
     def variables(self) -> list[Mapping[str, np.ndarray]]:
-        """Return positions, speeds (of poses: the way from the one before), accelerations and time of each run."""
+        """Return positions, speeds (for poses, the travel from the previous one), accelerations and time of each run."""
         found = []
         for piece in self.pieces:
             q, v, a = (x[:: piece.factor] for x in (piece.motion.q, piece.motion.v, piece.motion.a))

@@ -49,13 +49,13 @@ from tau_dyn.simulate import Trajectory
 RATE_HZ = 100.0
 """Rate of the rows, about [Hz]."""
 MAX_FREQUENCY_HZ = 50.0
-"""Highest frequency that a diagnosis looks at where the motion is quick and positions are clean enough [Hz], about."""
+"""Highest frequency of a diagnosis if the motion is fast and positions are accurate enough [Hz], about."""
 _MIN_RATE_HZ = 80.0
-"""A residual kept at a lower rate than this gives the noise's density only."""
+"""A residual at a lower rate than this gives only the density of the noise."""
 _IN_BAND = 0.28
-"""Share of the rate up to which neither low-pass weakens a residual."""
+"""Share of the rate up to which neither low-pass attenuates a residual."""
 _MAX_ORDER = 8  # of the autoregressive model of the residual, selected below it
-_LOOKED_AT_S = 120.0  # [s] of the logs by which motions are judged; bounds time
+_LOOKED_AT_S = 120.0  # [s] of the logs used to judge motions; bounds computing time
 _OF_PLACE = ("inertia", "weight_gradient", "passive")
 
 Thing = tuple[tuple[Effect, ...], Parameters | None]
@@ -70,7 +70,7 @@ class Setting:
         model: The refitted baseline, at which loads and forces are computed.
         noise: Noise of each joint's force at the rows' rate.
         rate_hz: Rate of the rows.
-        threshold: Slowest speed with a sure sign (na,) [m/s or rad/s].
+        threshold: Slowest speed with a certain sign (na,) [m/s or rad/s].
         window_s: Time left out around slow and reversing samples [s].
         cutoff_hz: Low-pass of positions [Hz].
         highest_hz: Frequency above which a diagnosis cannot detect causes, even with faster motion [Hz].
@@ -139,20 +139,20 @@ def flatten_noise_spectrum(noise: Autoregression) -> Autoregression:
 
 
 class DesignMotion(NamedTuple):
-    """A motion at the rows' rate with all that effects feel, and which samples count (n, na)."""
+    """A motion at the rows' rate with all signals that effects need, and the mask of usable samples (n, na)."""
 
     motion: Motion
     counts: np.ndarray
 
 
 def build_planned_motion(setting: Setting, planned: Trajectory, needs: Iterable[str] = ()) -> DesignMotion:
-    """Return a planned motion with the computed signals wanted."""
+    """Return a planned motion with the requested computed signals."""
     log = Log(planned.t, {f"q_{j}": planned.q[:, k] for k, j in enumerate(planned.joints)}, planned.name)
     return _thin(setting, log, planned.q, planned.v, planned.a, needs, None)
 
 
 def build_measured_motions(setting: Setting, logs: Iterable[Log], needs: Iterable[str]) -> list[DesignMotion]:
-    """Return the measured motions with the computed signals wanted, at most two minutes of them."""
+    """Return the measured motions with the requested computed signals, at most two minutes of them."""
     stretches, found = [piece for log in logs for piece in resample_segments(log)], []
     smooth_hz = smooth_cutoff(setting.model.robot, stretches) if stretches else 0.0
     for log in stretches:
@@ -167,9 +167,9 @@ def build_measured_motions(setting: Setting, logs: Iterable[Log], needs: Iterabl
 def _thin(
     setting: Setting, log: Log, q: np.ndarray, v: np.ndarray, a: np.ndarray, needs: Iterable[str], most: int | None
 ) -> DesignMotion:
-    """Return at most so many samples at the rows' rate, with loads and forces at the refitted baseline.
+    """Return a limited number of samples at the rows' rate, with loads and forces at the refitted baseline.
 
-    What depends on the place alone is computed at every fourth sample and interpolated.
+    Signals that depend on the position alone are computed at every fourth sample and interpolated.
     """
     joints, step = setting.model.robot.actuated, max(1, round(log.rate_hz / setting.rate_hz))
     measured = get_measured_signals(log, joints, q, v, setting.threshold)
@@ -185,7 +185,7 @@ def _thin(
 
 
 def compute_columns(setting: Setting, motion: Motion, others: Sequence[Effect], things: Sequence[Thing]) -> np.ndarray:
-    """Return columns (N, na, k): of the model's free parameters and of other effects, refitted anyway, then of all things."""
+    """Return columns (N, na, k): of the model's free parameters and of other refitted effects, then of all things."""
     made = [setting.model.columns(motion)[:, :, setting.model.parameters.free], *(e.columns(motion) for e in others)]
     for effects, values in things:
         each = [_weaken(setting, effect, motion) for effect in effects]
@@ -198,7 +198,7 @@ def compute_columns(setting: Setting, motion: Motion, others: Sequence[Effect], 
 
 
 def _weaken(setting: Setting, effect: Effect, motion: Motion) -> np.ndarray:
-    """Return an effect's columns; what repeats faster than the low-pass shows is weakened."""
+    """Return an effect's columns, attenuated at local frequencies above the low-pass."""
     made = effect.columns(motion)
     if not effect.dense:
         return made
@@ -212,7 +212,7 @@ def compute_gram_matrix(setting: Setting, motion: Motion, counts: np.ndarray, W:
     blank = np.zeros(counts.shape)
     rows = Whitener.of([RegressionRun("plan", motion.t, W, blank, counts, W, blank, {})], [counts], setting.noise)([W])
     rate = (len(motion.t) - 1) / float(motion.t[-1] - motion.t[0])
-    return rows.T @ rows * (setting.rate_hz / rate)  # the noise belongs to the rows' rate, which a log meets nearly
+    return rows.T @ rows * (setting.rate_hz / rate)  # the noise is given at the rows' rate, near that of a log
 
 
 _RANK = 1e-10  # ratio of eigenvalues; less is rounding
@@ -246,7 +246,7 @@ class SchurComplement:
 
 @dataclass(frozen=True, eq=False)
 class AlternativeCause:
-    """A cause in place of another: its effects on each group of joints, one for each setting, and where their columns are."""
+    """An alternative cause: its effects on each group of joints, one for each setting, and the indices of their columns."""
 
     groups: tuple[tuple[Effect, ...], ...]
     columns: tuple[tuple[np.ndarray, ...], ...]
@@ -266,12 +266,12 @@ class AlternativeCause:
             chosen.append((effect, columns))
             rest = schur.G[x, x] - T
             schur = schur.without(columns)
-            schur.G[x, x] = max(rest, schur.G[x, x])  # amplitudes that must not be negative leave more
+            schur.G[x, x] = max(rest, schur.G[x, x])  # bounds at zero leave a larger residual
             open_groups = [j for j in open_groups if not set(self.groups[j][0].joints) & set(effect.joints)]
         return max(float(schur.G[x, x]), 0.0), chosen
 
     def _explained(self, schur: SchurComplement, x: int, k: int) -> tuple[float, int, int]:
-        """Return the most that a group explains, the group, and the setting; settings may differ in their columns' number."""
+        """Return the largest statistic of a group, the group, and the setting; settings may differ in their number of columns."""
         best = (0.0, k, 0)
         sizes = np.array([len(c) for c in self.columns[k]])
         for size in np.unique(sizes):

@@ -141,7 +141,7 @@ def _beyond(cause: str, twins: Sequence[str], default: str = "") -> CannotAnswer
 
 
 def _twins(diagnosis: Diagnosis, finding: Finding, signals: Collection[str]) -> DesignGoal:
-    """Return the question between a finding and those of its twins that a motion can make, or refuse."""
+    """Return the question between a finding and its alternatives that a motion can excite, or raise."""
     twins = finding.indistinguishable_from
     out = [t for t in twins if not _of_motion(t, signals) or t in finding.effects[0].equivalent]
     if not set(finding.effects[0].needs) <= set(signals):
@@ -179,9 +179,9 @@ def _first(diagnosis: Diagnosis) -> str:
     return next((f.experiment for f in diagnosis.findings if f.experiment), "")
 
 
-_MAX_SETTINGS = 60  # of an alternative cause that are tried; bounds time
+_MAX_SETTINGS = 60  # settings of an alternative cause that are tried; bounds computing time
 _MAX_SETTING_DISTANCE = 0.3
-"""Settings of a fine grid that lie this near the true cause's own are tried as a rival's."""
+"""Settings of a fine grid this near the true cause's own are tried for an alternative."""
 _WEAK = 1e-12  # smallest norm that a column is divided by
 _IMITATED = 0.5  # share of a column's power that an alternative leaves, below which it imitates the cause
 
@@ -229,7 +229,7 @@ class DiscriminationDesign:
 
     @property
     def n_refitted(self) -> int:
-        """Number of columns refitted anyway."""
+        """Number of refitted columns."""
         others = sum(len(effect.parameters) for effect in self.question.others)
         return int(np.sum(self.setting.model.parameters.free)) + others
 
@@ -256,7 +256,7 @@ class DiscriminationDesign:
         return np.array([line.strength(schur) for line in self.lines])
 
     def merit(self, total: np.ndarray, most: np.ndarray) -> float:
-        """Return the smallest strength; of causes to be seen, relative to the most that can be expected."""
+        """Return the smallest strength; for causes to be detected, relative to the largest that can be expected."""
         found = self.strengths(total)
         return float(np.min(found if self.question.pairs else found / most))
 
@@ -265,7 +265,7 @@ class DiscriminationDesign:
         return np.maximum(np.max([self.strengths(one) for one in grams], axis=0), 1e-300)
 
     def showing(self, total: np.ndarray) -> DiscriminationDesign:
-        """Return the plan with those lines of which all candidates together show anything."""
+        """Return the plan with the lines that all candidates together excite."""
         schur = self.schur(total)
         kept = [
             ln
@@ -276,7 +276,7 @@ class DiscriminationDesign:
 
 
 def get_required_signals(question: DesignGoal) -> frozenset[str]:
-    """Return the computed signals that the question's effects feel."""
+    """Return the computed signals that the question's effects need."""
     pairs = [
         cls for suspect, rival in question.pairs for cls in (*suspect.effects, *([EFFECTS[rival]] if rival else []))
     ]
@@ -284,7 +284,7 @@ def get_required_signals(question: DesignGoal) -> frozenset[str]:
 
 
 def build_design_scene(setting: Setting, motions: Sequence[Motion], signals: frozenset[str]) -> Scene:
-    """Return what motions offer together."""
+    """Return the properties of all motions together."""
     robot = setting.model.robot
     return build_scene(
         motions,
@@ -325,7 +325,7 @@ def add_mirrored_contrasts(plan: DiscriminationDesign, recorded: Sequence[Design
 
 
 def build_detection_plan(setting: Setting, question: DesignGoal, scene: Scene) -> DiscriminationDesign:
-    """Return the plan that shows causes, each on each group of joints at the setting in the middle of its grid."""
+    """Return the plan that excites causes, each on each group of joints at the setting in the middle of its grid."""
     plan = DiscriminationDesign(setting, question, scene)
     for cls in question.causes:
         groups = cls.groups(scene)
@@ -342,7 +342,7 @@ def build_detection_plan(setting: Setting, question: DesignGoal, scene: Scene) -
 def _added(
     plan: DiscriminationDesign, effects: tuple[Effect, ...], values: Parameters | None = None
 ) -> tuple[DiscriminationDesign, np.ndarray]:
-    """Return the plan with effects, per unit or at values, and where their columns are after those refitted anyway."""
+    """Return the plan with effects, per unit or at values, and the indices of their columns after the refitted ones."""
     sizes = [1 if v is not None else sum(len(e.parameters) for e in es) for es, v in (*plan.things, (effects, values))]
     return replace(plan, things=(*plan.things, (effects, values))), np.arange(sum(sizes[:-1]), sum(sizes))
 
@@ -350,7 +350,7 @@ def _added(
 def _with_pair(
     plan: DiscriminationDesign, suspect: CauseHypothesis, rival: str, found: CauseHypothesis | None
 ) -> DiscriminationDesign:
-    """Return the plan with one more pair; where the rival itself was `found`, its settings are tried as they are, too."""
+    """Return the plan with one more pair; if the alternative itself was `found`, its own settings are tried, too."""
     plan, x = _added(plan, suspect.effects, suspect.values)
     if not rival:
         return replace(plan, lines=(*plan.lines, Contrast(suspect.cause, "", x, None)))
@@ -369,7 +369,7 @@ def _with_pair(
 def _options(
     cls: type[Effect], scene: Scene, suspect: CauseHypothesis, found: CauseHypothesis | None
 ) -> list[tuple[Effect, ...]]:
-    """Return a rival's effects for each group that shares joints with a suspect, one for each setting."""
+    """Return an alternative's effects for each group that shares joints with a suspected cause, one for each setting."""
     made = []
     for joints in cls.groups(scene):
         if not set(joints) & set(suspect.joints):
@@ -386,7 +386,7 @@ def _options(
 
 
 def _fewer(grid: list[dict[str, float]], own: dict[str, float]) -> list[dict[str, float]]:
-    """Return at most `_MAX_SETTINGS` of a grid: those near the true cause's own settings where it has the same ones."""
+    """Return at most `_MAX_SETTINGS` of a grid: those near the true cause's own settings if it has the same kind of settings."""
     near = [
         g
         for g in grid

@@ -98,7 +98,7 @@ TRAINED = 0.6
 """Share of a log that is searched for causes; the rest confirms and measures."""
 _N_TRIALS = 300  # random outcomes; a probability is known to 3 %
 _FRESH = 20.0
-"""Times smaller that an effect is seen, above which the measured motion hardly showed it."""
+"""Ratio of detection limits above which the measured motion hardly excited an effect."""
 
 
 def estimate_identification_probability(strength: float, rival: bool = True) -> float:
@@ -139,7 +139,7 @@ def list_motion_notes(
 
 
 def _sight(plan: DiscriminationDesign, new: np.ndarray, old: np.ndarray | None) -> list[str]:
-    """Return how much smaller effects show than along the measured motion; of each cause the joint that gains least counts."""
+    """Return the ratio of detection limits to those of the measured motion; the joint that gains least counts for each cause."""
     causes = dict.fromkeys(line.cause for line in plan.lines)
     if old is None:
         return [f"this motion excites {', '.join(causes)}"]
@@ -166,7 +166,7 @@ def _sure(strength: float, line: Contrast) -> str:
 
 PIECE_S = 14.0
 """Length of a piece, about [s]."""
-_MIN_DURATION_S = 6.0  # [s] of the shortest motion that is proposed
+_MIN_DURATION_S = 6.0  # [s], the shortest proposed motion
 _REST_S = 0.5  # [s] of rest between two motions
 _STILL_S = 0.1  # the move between two pieces that end and start at home
 
@@ -237,7 +237,7 @@ def propose_motion(
 
 
 def _signals(model: Model) -> frozenset[str]:
-    """Return what effects may feel of a motion without further sensors."""
+    """Return the signals of a motion that are available to effects without further sensors."""
     return frozenset(
         {"force", "rigid_force", "inertia", "weight_gradient", "load", "reducer_torque", "reversal"}
         | ({"passive"} if model.robot.loops else set())
@@ -245,7 +245,7 @@ def _signals(model: Model) -> frozenset[str]:
 
 
 def _of_measured(plan: DiscriminationDesign, recorded: Sequence[DesignMotion], duration: float) -> np.ndarray | None:
-    """Return strengths of the measured motion, in the time that the proposal takes [s]."""
+    """Return strengths of the measured motion, scaled to the duration of the proposal [s]."""
     if not recorded:
         return None
     took = sum(float(motion.t[-1] - motion.t[0]) for motion, _ in recorded if motion.t is not None)
