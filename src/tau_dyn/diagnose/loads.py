@@ -8,7 +8,8 @@ as one more campaign on the motion of the training logs, with the forces compute
 Its combinations are assumed to be known as well as these logs determine them, or worse in proportion to its standard errors.
 Campaigns are compared with the causes found in the model (`evidence/campaigns.py`). An accepted load is added to the baseline
 in its logs, and causes are searched again. Friction may follow the load, so a change of friction in the same log does not count
-against it. Reference: Khalil, Gautier & Lemoine 2007 (identification of the payload inertial parameters).
+against it.
+Reference: Khalil, Gautier & Lemoine 2007 (identification of the payload inertial parameters).
 """
 
 from __future__ import annotations

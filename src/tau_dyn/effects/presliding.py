@@ -9,8 +9,8 @@ which acts over that distance alone, is left out, and its Stribeck curve is the 
 all speeds it is Dahl's law; springs that slip one after another (Maxwell slip) build up over about the same distance. As a
 force it is added to Coulomb friction, of which a part then builds up over the distance; as a displacement, `hysteresis`, it is
 a loop of the deflection. A recording is integrated, which covers reversals before z has fully changed; single states are
-assumed to follow a full change. Reference: Dahl 1968; Canudas de Wit et al. 1995; Al-Bender, Lampaert & Swevers 2005; Ruderman
-et al. 2009.
+assumed to follow a full change.
+Reference: Dahl 1968; Canudas de Wit et al. 1995; Al-Bender, Lampaert & Swevers 2005; Ruderman et al. 2009.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 Every cause is fitted at all joints at once, together with all causes already added, because a joint's loop depends on its own
 parameters alone. Its score is its value divided by the value's standard error from the scatter of blocks of time. The best one
-at each joint is added, in rounds; causes that a later one makes superfluous are removed. Reference: Liang & Zeger 1986
-(blocks); Efroymson 1960 (forward and backward selection).
+at each joint is added, in rounds; causes that a later one makes superfluous are removed.
+Reference: Liang & Zeger 1986 (blocks); Efroymson 1960 (forward and backward selection).
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from tau_dyn.servo.fit import LoopFit, count_worth, fit_loop
 from tau_dyn.servo.unknowns import LIMITS, LoopUnknowns, measure_change
 
 MIN_SCORE = 5.0
-"""Score from which a cause is taken in: one false one in 1,000 candidates where some 60 blocks count."""
+"""Score from which a cause is added: one false cause in 1,000 candidates with about 60 blocks."""
 MIN_CHANGE = 0.05
-"""Change of a number that the law gives, from which it is a cause: masses are trusted to 2 %, so a gain to twice that."""
+"""Relative change of a value of the law from which it is a cause: masses are trusted to 2 %, so a gain to twice that."""
 MIN_SHARE = 0.03
-"""Share of a joint's residual variance that a cause takes off at least; less changes no simulation."""
+"""Least share of a joint's residual variance that a cause explains; less does not change a simulation."""
 TWIN_SHARE = 0.95
 """Share of the best cause's reduction of the residual from which another cause is indistinguishable from it here."""
 APART = 9.0
 """Twice the log-likelihood ratio from which two causes are distinguished: three standard errors."""
-MAX_ROUNDS = 4  # causes at one joint; each takes off at least 3 %, and joints may wait for each other
+MAX_ROUNDS = 4  # causes at one joint; each explains at least 3 %, and joints may wait for each other
 RIVAL_SHARE = 0.5
 """Share of the best cause's reduction of the residual, or of the least significant one, from which another cause may be the
 best."""
@@ -39,10 +39,10 @@ as the model error of a joint disturbs its neighbours."""
 WHITE_LAGS = 20  # samples over which residuals are compared
 _CHANCE = 4.0  # standard errors of an autocorrelation
 MAIN_SHARE = 0.5
-"""Share of a joint's residual variance from which a cause counts, however uncertain its number: on a ridge with others, such as
-gain and mass, or far from its end, a number moves without a change of the simulation."""
+"""Share of a joint's residual variance from which a cause is kept even if its value is uncertain: on a ridge with others, such
+as gain and mass, or far from its limit, a value changes without effect on the simulation."""
 POWER_Z = 1.645
-"""Standard errors above the threshold that a number must have to be found in 95 of 100 logs."""
+"""Standard errors above the threshold at which a value is found in 95 of 100 logs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,9 +50,9 @@ class TriedCause:
     """A cause tried at all joints.
 
     Attributes:
-        score: How far each number is from its null value in standard errors (na,); zero where it is in already.
-        share: Share of the residual variance that it takes off (na,).
-        start: Values that the best search of each joint began with, by entry (na,).
+        score: Distance of each value from its null in standard errors (na,); zero where the cause is already added.
+        share: Share of the residual variance that it explains (na,).
+        start: Start values of the best search of each joint, by entry (na,).
     """
 
     score: np.ndarray
@@ -65,9 +65,9 @@ class LoopSearch:
     """The end of a search.
 
     Attributes:
-        unknowns: Those of the extended model.
+        unknowns: Unknowns of the extended model.
         fit: Their fit.
-        taken: Cause and joint -> score, and causes that explain the same here.
+        taken: Cause and joint -> score, and indistinguishable causes.
     """
 
     unknowns: LoopUnknowns
@@ -76,7 +76,7 @@ class LoopSearch:
 
 
 def search_causes(data: LoopData, base: LoopFit, progress: Callable[[str], None]) -> LoopSearch:
-    """Return the model extended by what explains the residual of a baseline's fit."""
+    """Return the model extended by the causes that explain the residual of a baseline's fit."""
     u, fit = data.unknowns, base
     taken: dict[tuple[str, int], tuple[float, tuple[str, ...]]] = {}
     refused: set[tuple[str, int]] = set()
@@ -132,7 +132,7 @@ def check_steps(
     if not taken:
         fine = _refit_baseline(data, base, search, progress)
         return fine, replace(search, unknowns=data.unknowns, fit=fine)
-    if not replace(data, unknowns=u).is_shaken:  # that fit is of exact motions already
+    if not replace(data, unknowns=u).is_shaken:  # that fit already uses exact motions
         again = refit_again(data.build_problem(u), search.fit, progress)
     u, again, _ = _drop_superfluous(data, u, again, taken, progress)
     for cause, j in sorted(taken, key=lambda place: taken[place][0]):
@@ -192,7 +192,7 @@ def part_twins(data: LoopData, search: LoopSearch, progress: Callable[[str], Non
 
 
 def _count_independent(data: LoopData, u: LoopUnknowns, fit: LoopFit, j: int) -> float:
-    """Return how many independent samples a joint's residual counts as."""
+    """Return the effective number of independent samples of a joint's residual."""
     problem = data.build_problem(u)
     return problem.count / count_worth(problem.residuals(fit.x[:, None])[:, j, 0], problem.used)
 
@@ -205,7 +205,7 @@ def _take_out(
     least: float,
     progress: Callable[[str], None],
 ) -> tuple[LoopUnknowns, LoopFit] | None:
-    """Return unknowns and fit without a cause at a joint; None if it takes off more than a share of the variance there."""
+    """Return unknowns and fit without a cause at a joint; None if it explains more than a share of the variance there."""
     cause, j = place
     progress(f"without {cause.replace('_', ' ')}")
     left, _ = _hold_null(data, u, fit, [place])
@@ -220,7 +220,7 @@ def _take_out(
 def _hold_null(
     data: LoopData, u: LoopUnknowns, fit: LoopFit, places: Iterable[tuple[str, int]]
 ) -> tuple[LoopUnknowns, LoopFit]:
-    """Return unknowns and vector of a solution, causes at some joints held at their null."""
+    """Return unknowns and vector of a solution, with causes at some joints fixed at their null."""
     values, free = {key: np.array(x) for key, x in u.with_values(fit.x).items()}, np.array(u.free)
     for cause, j in places:
         row = LOOP_CAUSES[cause]
@@ -280,7 +280,7 @@ def _find_coloured(data: LoopData, u: LoopUnknowns, fit: LoopFit) -> np.ndarray:
 
 
 def compute_share_wanted(samples: int) -> float:
-    """Return the share of a joint's residual variance from which a cause is looked for; in short logs chance makes as much."""
+    """Return the share of a joint's residual variance from which causes are searched; in short logs chance explains as much."""
     return min(max(MIN_SHARE, _CHANCE / np.sqrt(samples)), 0.5)
 
 
@@ -371,7 +371,7 @@ def _drop_superfluous(
 
 
 def _get_least_change(entry: str, null: np.ndarray) -> np.ndarray:
-    """Return the change of a number that the law gives (na,) from which it is a cause; of limits, that of their inverses."""
+    """Return the change (na,) of a value of the law from which it is a cause; for limits, that of their inverses."""
     return MIN_CHANGE * np.abs(1 / null if entry in LIMITS else null)
 
 

@@ -7,8 +7,8 @@ file's,
 
 in addition to the cost of its unknowns z: zero at the file's values, and infinite where a body becomes inconsistent. The
 directions w that the logs do not inform on are almost free: two moments of a thin rod are one quantity, whose prior counts
-once. The cost is convex in z; gradient and curvature follow from those in (z, w). Reference: Wensing, Kim & Slotine 2018 (J);
-Lee, Wensing & Park 2019 (divergence); Boyd & Vandenberghe 2004, 3.2.5 and 9.5.
+once. The cost is convex in z; gradient and curvature follow from those in (z, w).
+Reference: Wensing, Kim & Slotine 2018 (J); Lee, Wensing & Park 2019 (divergence); Boyd & Vandenberghe 2004, 3.2.5 and 9.5.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class ConsistentBodies:
         prior: np.ndarray,
         directions: np.ndarray,
     ) -> None:
-        """Prepare; see `InertialSpace`. Bodies that do not exist in the file are left as they are."""
+        """Prepare; see `InertialSpace`. Bodies that are inconsistent in the file are not constrained."""
         free = prior > 0
         scaled = directions[free] / prior[free, None]
         rest = np.linalg.svd(scaled, full_matrices=True)[0][:, scaled.shape[1] :]
@@ -86,7 +86,7 @@ class ConsistentBodies:
         self._at = (np.zeros(self._k), np.zeros(rest.shape[1]))  # where the last search ended
 
     def find(self, z: np.ndarray) -> Divergence | None:
-        """Return the divergence at unknowns (K,), or None if a body cannot exist whatever w is."""
+        """Return the divergence at unknowns (K,), or None if a body is inconsistent for every w."""
         for start in (self._at, (np.zeros(self._k), np.zeros(self.within.shape[1]))):
             at, w = start
             for _ in range(MAX_STEPS):
@@ -104,7 +104,7 @@ class ConsistentBodies:
         return None
 
     def limit(self, z: np.ndarray, step: np.ndarray) -> float:
-        """Return the part of a step (K,) from unknowns z that keeps every body, w following; at most 1."""
+        """Return the part of a step (K,) from unknowns z that keeps every body consistent, with w following; at most 1."""
         found = self.find(z)
         if found is None:
             return 1.0
@@ -116,7 +116,7 @@ class ConsistentBodies:
         return np.eye(4) + np.einsum("bkij,k->bij", self._A, x)
 
     def _reach(self, x: np.ndarray, step: np.ndarray) -> float:
-        """Return how many steps (K + m,) lead to where the first body ceases to exist."""
+        """Return the multiple of a step (K + m,) at which the first body becomes inconsistent."""
         inverse = np.linalg.inv(np.linalg.cholesky(self._bodies(x)))
         change = np.einsum("bkij,k->bij", self._A, step)
         least = float(np.linalg.eigvalsh(inverse @ change @ inverse.swapaxes(1, 2)).min(initial=0.0))
@@ -138,7 +138,7 @@ class ConsistentBodies:
         return value, gradient, second
 
     def _minimise(self, z: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, tuple[float, np.ndarray], np.ndarray]:
-        """Return w (m,) of the least divergence at z, from one where all bodies exist; value, gradient, second derivatives."""
+        """Return w (m,) of the least divergence at z, from a consistent one; value, gradient, second derivatives."""
         k = self._k
         value, gradient, second = self._differentiate(np.append(z, w))
         for _ in range(MAX_STEPS):

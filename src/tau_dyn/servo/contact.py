@@ -17,20 +17,20 @@ from tau_dyn.model import Model
 from tau_dyn.servo.records import LoopRecord, mask_unused
 
 MIN_GAP_M = 0.005
-"""How far above its command a tip rests at least where it is held up [m]: dry friction of small arms leaves less."""
+"""Least height above its command of a tip that is held up [m]: dry friction of small arms causes less."""
 RESTING = 0.06
 """Speed of every joint below which the tip rests [rad/s]."""
 LOWEST_BAND_M = 0.012
-"""A tip this near to the lowest point of its log may rest on something [m]."""
+"""Distance [m] to the lowest point of its log within which a tip may rest on an object."""
 MIN_DURATION_S = 0.15
-"""Shortest rest on something [s]."""
+"""Shortest rest on an object [s]."""
 BEFORE_S, AFTER_S = 0.5, 1.0
 """Time left out around a contact [s]: the approach before it, and the transient of the loop after it."""
 
 
 @dataclass(frozen=True)
 class Contact:
-    """One log's contact with something below the tool.
+    """One log's contact with an object below the tool.
 
     Attributes:
         log: The log's name.
@@ -49,7 +49,7 @@ class Contact:
     height: float
 
     def describe(self) -> str:
-        """Return the sentence about it."""
+        """Return a sentence that describes it."""
         return (
             f"{self.log}: the tool rests on something at z = {1e3 * self.height:.0f} mm (tip), from {self.start:.1f} to "
             f"{self.stop:.1f} s; {self.joint} pushes on; {100 * self.share:.0f} % of the log is left out as contact"
@@ -76,13 +76,13 @@ def find_contacts(model: Model, records: Sequence[LoopRecord]) -> tuple[list[Con
 
 
 def _measure_gap(model: Model, record: LoopRecord) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the tip's height (N,) [m], how far above its command it is (N,) [m], and where every joint rests (N,)."""
+    """Return the tip's height (N,) [m], its height above the command (N,) [m], and the mask of samples at rest (N,)."""
     tip, told = (model.mechanism.tool_position(x)[:, 2] for x in (record.q, record.command))
     return tip, tip - told, np.all(np.abs(record.motion[1]) < RESTING, axis=1)
 
 
 def _measure_usual_gap(model: Model, record: LoopRecord) -> float:
-    """Return the gap that a free tip at rest stays below in this log [m]; zero where it never rests."""
+    """Return the upper limit of the gap of a free tip at rest in this log [m]; zero if it never rests."""
     tip, gap, still = _measure_gap(model, record)
     free = gap[still & (tip > tip.min() + LOWEST_BAND_M)]
     return float(np.percentile(free, 98)) if len(free) > 10 else 0.0
@@ -115,7 +115,7 @@ def _find_contact(model: Model, record: LoopRecord, usual: float, known: float) 
 
 
 def _share_gap(model: Model, record: LoopRecord, rests: np.ndarray) -> np.ndarray:
-    """Return how much of the tip's gap to its command each joint holds up (na,) [m], in the median."""
+    """Return the contribution of each joint to the tip's gap to its command (na,) [m], as a median."""
     q, command = record.q[rests], record.command[rests]
     shares = []
     for j in range(q.shape[1]):

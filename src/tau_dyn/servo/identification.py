@@ -1,4 +1,4 @@
-"""Logs of commands and positions -> masses, friction and the servo's unknowns: the whole main path in one place.
+"""Logs of commands and positions -> masses, friction and the servo's unknowns: the main path.
 
     robot, law, logs -> Records -> contact left out -> screen (equation error) -> directions -> output error -> errors
 
@@ -31,10 +31,10 @@ from tau_dyn.servo.unknowns import JOINT_UNITS, get_unit
 from tau_dyn.simulate import SERVO_ENTRIES
 
 SETTLED_FOR_ERRORS = 1.0
-"""Change of unknowns over standard errors from which a fit's held-out error counts as settled: their own scatter changes it as
-much."""
+"""Change of unknowns over standard errors below which a fit's held-out error counts as converged: their own scatter changes it
+as much."""
 TRAIN_SHARE = 0.7
-"""Where no held-out log is given, a fit of this first part of each log predicts the rest."""
+"""Share of each log whose fit predicts the rest, if no held-out log is given."""
 
 
 def identify_loop(
@@ -155,7 +155,7 @@ def _list_joint_rows(data: LoopData, fit: LoopFit, values: Mapping[str, np.ndarr
 def _list_body_rows(
     data: LoopData, fit: LoopFit, theta: np.ndarray, seed: int
 ) -> tuple[list[LoopParameter], tuple[LoopParameter, ...]]:
-    """Return the bodies' parameters that are free, and the combinations that motion can show."""
+    """Return the bodies' free parameters, and their identifiable combinations."""
     space, m = data.space, data.unknowns.n - data.space.n_unknowns
     parameters = data.model.robot.parameters
     D, cov = space.directions, fit.covariance[m:, m:]

@@ -41,14 +41,14 @@ MOVING = 0.03
 """Speed from which a joint's friction has a direction [rad/s]: twice the speed of one step of a 12 bit encoder in 20 ms."""
 
 MAX_DIRECTIONS = 40
-"""Directions of the inertial numbers that are estimated at most; an arm of six joints has some 36."""
+"""Largest number of estimated directions of the inertial numbers; an arm of six joints has some 36."""
 
 MIN_INFORMATION = 1e-5
 """Information of a direction, with prior knowledge as 1, from which it is estimated. It is small: a quantity that a log hardly
 shows may compensate another one, as gravity at a joint that barely turns a constant torque."""
 
 INFORMATION_S = 0.02
-"""Time between the samples that directions are chosen by [s]: a fourth of a period of the motion's low-pass."""
+"""Time between the samples from which directions are chosen [s]: a quarter of a period of the motion's low-pass."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class EquationError:
 
     Attributes:
         values: Start values of kinds (na,).
-        residual: Torque that remains, record by record (N, na) [N m]; NaN where a joint rests.
+        residual: Residual torque, record by record (N, na) [N m]; NaN where a joint rests.
         sigma: Its rms (na,) [N m].
     """
 
@@ -67,7 +67,7 @@ class EquationError:
 
 
 def delay_command(command: np.ndarray, dt: float, delay: float) -> np.ndarray:
-    """Return held commands (N, na) as a delay [s] later shows them at the samples, averaged over the sample before."""
+    """Return held commands (N, na), delayed by a time [s], at the samples, averaged over the previous sample."""
     n = len(command)
     total = np.concatenate([np.zeros((1, command.shape[1])), np.cumsum(command, axis=0)])
     at = np.clip(np.arange(n + 1) - 0.5 - delay / dt, 0, n)
@@ -81,7 +81,7 @@ def delay_command(command: np.ndarray, dt: float, delay: float) -> np.ndarray:
 def screen_equation_error(
     law: ServoLaw, space: InertialSpace, records: Sequence[LoopRecord], estimate_gain: bool
 ) -> EquationError:
-    """Return the best delay, friction and drive inertia of each joint by the rebuilt torque, bodies as the file has them."""
+    """Return the best delay, friction and drive inertia of each joint by the law's torque, with the bodies of the file."""
     na = len(law.joints)
     values = {key: np.array(law.values[key]) for key in ("position_gain", "command_delay")}
     values |= {key: np.zeros(na) for key in JOINT_UNITS}
@@ -111,7 +111,7 @@ def screen_equation_error(
         rms, delay, beta, rows = best
         values["command_delay"][j] = delay
         scale = 1.0
-        if estimate_gain:  # the rows are of positions: 1 / gain times torque
+        if estimate_gain:  # rows in units of position: 1 / gain times torque
             share = beta[4] if beta[4] > 0 else np.nan
             scale = 1.0 / share
             values["position_gain"][j] = scale / law.values["force_per_unit"][j]
@@ -126,7 +126,7 @@ def screen_equation_error(
 
 
 def _fill_gains(values: dict[str, np.ndarray], law: ServoLaw) -> dict[str, np.ndarray]:
-    """Return the values with gains that no gravity showed taken from the other joints, and friction with them."""
+    """Return the values with gains that gravity does not determine, and their friction, taken from the other joints."""
     gain = values["position_gain"]
     known = np.isfinite(gain) & (gain > 0.05) & (gain < 1e4)
     usual = float(np.median(gain[known])) if known.any() else 5.0
@@ -173,7 +173,7 @@ def _rebuild_output(r: LoopRecord, j: int, goal: np.ndarray, error: np.ndarray) 
 
 
 def choose_directions(space: InertialSpace, records: Sequence[LoopRecord], screen: EquationError) -> InertialSpace:
-    """Return the space with the directions of which the logs know more than the robot file."""
+    """Return the space with the directions on which the logs are more informative than the robot file."""
     p = len(space.nominal)
     information = np.zeros((p, p))
     for r in records:
@@ -182,7 +182,7 @@ def choose_directions(space: InertialSpace, records: Sequence[LoopRecord], scree
         if len(some) < 10:
             continue
         Y = space.model.mechanism.regressor(*(x[some] for x in r.motion)) * space.prior
-        worth = max(1.0, 0.5 / r.dt) / every  # samples that one independent residual is worth, at half a second
+        worth = max(1.0, 0.5 / r.dt) / every  # samples per independent residual, at half a second
         for j in range(r.q.shape[1]):
             X = np.ascontiguousarray(Y[:, j])
             information += X.T @ X / (screen.sigma[j] ** 2 * worth)
@@ -195,7 +195,7 @@ def choose_directions(space: InertialSpace, records: Sequence[LoopRecord], scree
 ALWAYS = ("armature", "command_delay")
 """Entries estimated for every joint in addition to friction, unless the law or `--fix` gives them."""
 MIN_SECONDS = 5.0
-"""Shortest data that a loop is identified from [s]: some ten time constants of a servo."""
+"""Shortest data for the identification of a loop [s]: some ten time constants of a servo."""
 
 Progress = Callable[[str], None]
 
@@ -234,7 +234,7 @@ class LoopLogs:
         held: Held-out logs.
         kept: Records of the training logs.
         others: Records of the held-out logs.
-        contacts: Where the tool rested on something.
+        contacts: Contacts of the tool with an object.
         own: Choices for servo entries.
         friction: Name of the friction model; empty for that of a given model.
         warnings: Warnings about the logs.
@@ -257,7 +257,7 @@ class LoopLogs:
 
 
 def is_loop_log(log: Log | Recording, robot: Robot) -> bool:
-    """Return whether a log is one of commands and positions without a torque."""
+    """Return whether a log has commands and positions, but no torque."""
     names = robot.actuated
     if not isinstance(log, Log) or not (log.has("q", names) and log.has("cmd", names)):
         return False
@@ -265,7 +265,7 @@ def is_loop_log(log: Log | Recording, robot: Robot) -> bool:
 
 
 def read_loop_logs(robot: Robot, logs: Log | Recording | Iterable[Log | Recording], options: LoopOptions) -> LoopLogs:
-    """Return logs as a fit needs them.
+    """Return logs in the form that a fit needs.
 
     Raises:
         InputError: A log, the law or a choice is at fault.
@@ -322,7 +322,7 @@ def _build_unknowns(
     joints, na = law.joints, len(law.joints)
     kinds = [*ALWAYS, *(FRICTION if friction != "rigid" else ()), *sorted(law.estimated)]
     if "back_emf" in law.estimated and "viscous" in kinds:
-        kinds.remove("viscous")  # one number until the servo saturates
+        kinds.remove("viscous")  # one parameter until the servo saturates
     kinds = list(dict.fromkeys(kinds))
     stiff = compute_stiffness({**law.values, **found})
     start = {key: value for key, value in found.items() if key in kinds}
@@ -404,7 +404,7 @@ def _guess_law(robot: Robot) -> ServoLaw:
 
 
 def _require_in_memory(logs: Sequence[Log | Recording]) -> list[Log]:
-    """Return logs, and refuse recordings that are too large to simulate."""
+    """Return logs, or raise if recordings are too large to simulate."""
     for log in logs:
         if not isinstance(log, Log):
             raise InputError(

@@ -2,8 +2,8 @@
 
 A command holds until the next one; a position is interpolated. The inertial numbers of the robot file have an uncertainty, a
 quarter of each body's size unless the file or `--fix` states another; only the directions in which logs inform more than that
-are unknowns (a likelihood-informed subspace), so that a fit cannot drift in directions without information. Reference: Cui,
-Martin, Marzouk, Solonen & Spantini 2014.
+are unknowns (a likelihood-informed subspace), so that a fit cannot drift in directions without information.
+Reference: Cui, Martin, Marzouk, Solonen & Spantini 2014.
 """
 
 from __future__ import annotations
@@ -31,15 +31,16 @@ SLOW_S = 0.04
 LOAD_S = 2e-3
 """Time between the loads of coupled joints [s]: speeds change by a few per cent of their peaks in it."""
 PIECES = 24
-"""Pieces that logs are cut into for a fit, about; more are no faster."""
+"""Approximate number of pieces into which logs are cut for a fit; more are not faster."""
 MIN_PIECE_S = 10.0
-"""Shortest piece [s]: a start at the measured position hides where friction holds a joint, so starts are rare."""
+"""Shortest piece [s]: a start at the measured position hides the effect of static friction, so starts are rare."""
 WARM_UP_S = 1.0
-"""Start of a piece that does not count [s]: a dozen time constants of a servo's loop."""
+"""Start of a piece that is not used [s]: a dozen time constants of a servo's loop."""
 MAX_SUPPLY = 10.0
-"""Largest supply of a log over the nominal one; more is another unit, such as tenths of a volt, or no supply."""
+"""Largest supply of a log over the nominal one; a larger value has another unit, such as tenths of a volt, or is not a
+supply."""
 ROWS = 20_000
-"""Samples whose regressors are computed at once: 60 MB for an arm of six joints."""
+"""Number of samples whose regressors are computed at once: 60 MB for an arm of six joints."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +75,7 @@ class LoopRecord:
 
     @property
     def goal(self) -> np.ndarray:
-        """Positions (N, na) that commands alone ask for: integrated speeds; where they are torques, to stay."""
+        """Positions (N, na) that commands alone request: integrated speeds for speed commands, constant positions for torques."""
         if self.told == "position":
             return self.command
         if self.told != "speed":
@@ -289,7 +290,7 @@ def _fill_between(some: np.ndarray, x: np.ndarray, n: int) -> np.ndarray:
 
 
 def fill_coupled_matrices(mechanism: Mechanism, rows: LoadRows, log: int, part: slice, every: int) -> None:
-    """Take a log's mass matrix and slopes of gravity along its motion from one sample to another, that one included."""
+    """Compute a log's mass matrix and slopes of gravity along its motion from one sample to another, inclusive."""
     q = rows.motion[0, part, :, log]
     n, na = len(q) - 1, q.shape[1]
     some = np.minimum(np.arange(0, n + every, every), n)
@@ -334,12 +335,12 @@ def build_waves(records: Sequence[LoopRecord], loads: Sequence[LoadWaves], law: 
     Args:
         records: The logs.
         loads: Loads along each log's motion.
-        law: Whose entries that differ by log are handed on.
+        law: The law, for the entries that differ between logs.
     """
     n = max(len(r.t) for r in records)
 
     def stack(arrays: Sequence[np.ndarray]) -> np.ndarray:
-        """Return arrays (N, ...) as (N, ..., S), in memory as compiled loops read them."""
+        """Return arrays (N, ...) as (N, ..., S), in the memory order of compiled loops."""
         rows = np.stack([_pad(x, n) for x in arrays], axis=-1)
         order = {2: (1, 0), 3: (1, 2, 0), 4: (1, 3, 0, 2)}[rows.ndim]
         return np.ascontiguousarray(rows.transpose(order)).transpose(np.argsort(order))
@@ -383,10 +384,10 @@ def refine(x: np.ndarray, every: int) -> np.ndarray:
 
 
 def split_pieces(records: Sequence[LoopRecord], loads: Sequence[LoadWaves]) -> tuple[list[LoopRecord], list[LoadWaves]]:
-    """Return the logs in pieces that are simulated side by side (multiple shooting).
+    """Return the logs in pieces that are simulated in parallel (multiple shooting).
 
-    A piece starts from the state of the motion that its loads were taken along, and its first part does not count: by then the
-    loop has forgotten where it began. Few long logs become many short ones, which take as long as one of them.
+    A piece starts from the state of the motion along which its loads were evaluated. Its first part is not used: after it the
+    loop has forgotten its initial state. A few long logs become many short ones, which take as long as one of them.
     """
     total = sum(len(r.t) * r.dt for r in records)
     length = max(MIN_PIECE_S, total / PIECES)

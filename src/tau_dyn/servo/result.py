@@ -1,4 +1,4 @@
-"""What identification through a closed loop answers, and its JSON form."""
+"""The result of identification through a closed loop, and its JSON form."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ class LoopParameter:
 
     @property
     def at_bound(self) -> bool:
-        """Whether a bound holds it."""
+        """Whether it is at a bound."""
         return bool(self.value <= self.lower or self.value >= self.upper)
 
     def to_dict(self) -> dict[str, Any]:

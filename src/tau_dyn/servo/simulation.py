@@ -1,4 +1,4 @@
-"""Simulated logs of commands and positions: a model, a servo's law and a motion in, a `Log` without torque out."""
+"""Simulated logs of commands and positions: a model, a servo's law and a motion -> a `Log` without torque."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tau_dyn.simulate import ServoLaw, Trajectory
 FINE_HZ = 500.0
 """Rate at which the loop is simulated [Hz], at least: servos themselves run at 200 to 1000 Hz."""
 RAN_AWAY = 1e6
-"""Position from which a simulated robot is no robot any more [rad or m]: no joint turns as far in an hour."""
+"""Position from which a simulation counts as diverged [rad or m]: no joint turns as far in an hour."""
 STEP_S = 2.5e-4
 """Longest step of the simulated loops [s], a quarter of a millisecond, so that no fit has the step of its data."""
 

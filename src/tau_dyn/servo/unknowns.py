@@ -28,7 +28,7 @@ LOWEST = {
     "acceleration_limit": 1.0,
     "speed_limit": 0.05,
 }
-"""Lower bounds of kinds; zero for the others. A delay below zero is a position that is read after its time stamp."""
+"""Lower bounds of kinds; zero for the others. A negative delay is a position that is read after its time stamp."""
 
 HIGHEST = {
     "load_friction": 0.95,
@@ -43,8 +43,8 @@ HIGHEST = {
     "acceleration_limit": 1000.0,
     "speed_limit": 50.0,
 }
-"""Upper bounds of kinds [1, s, rad]: a friction that grows as the torque would hold every motion; limits of goal profiles that
-hardly change a goal between two commands."""
+"""Upper bounds of kinds [1, s, rad]: friction that grows as fast as the torque would stop every motion; limits of goal profiles
+that hardly change a goal between two commands."""
 
 LIMITS = ("acceleration_limit", "speed_limit")
 """Kinds that act by their inverse: without a limit they are infinite."""
@@ -146,7 +146,7 @@ def compute_stiffness(values: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def measure_change(kind: str, value: np.ndarray, null: np.ndarray, stderr: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far values are from their null, and their standard errors; of limits, their inverses are compared."""
+    """Return the distance of values from their null, and their standard errors; for limits, the inverses are compared."""
     if kind not in LIMITS:
         return np.abs(value - null), stderr
     return np.abs(1 / value - 1 / null), stderr / np.square(value)

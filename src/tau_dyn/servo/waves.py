@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 MAX_STEP_S = 0.0105
-"""Longest step of the loop [s]: a seventh of the time constant of a hobby servo; it moves positions by some 0.4 mrad."""
+"""Longest step of the loop [s]: a seventh of the time constant of a hobby servo; it changes positions by about 0.4 mrad."""
 
 SPRING_STEP_S = 2e-3
 """Longest step if a joint may have a spring [s]: resonances up to 80 Hz are exact. A diagnosis reports only causes that half of
@@ -23,7 +23,7 @@ MAX_STREAM_SPEED = 5.0
 """Largest speed of a streamed goal [rad/s], about the speed of a hobby servo without load: a faster change is a step."""
 
 PROFILE_STEP_S = 2e-3
-"""Longest step of a goal profile [s]: halving it moves positions by 0.01 mrad. The loop itself takes longer steps."""
+"""Longest step of a goal profile [s]: halving it changes positions by 0.01 mrad. The loop itself takes longer steps."""
 
 
 class LoadRows(NamedTuple):
@@ -49,12 +49,13 @@ class LoadRows(NamedTuple):
 
 
 class JointCoupling(NamedTuple):
-    """How all joints are stepped at once: window by window, with loads along the motion that the window ends with.
+    """Settings for steps of all joints at once: window by window, with loads along the final motion of the window.
 
     Attributes:
         every: Samples between the rows of matrices.
         window: Samples of a window, a multiple of it.
-        settle: Takes loads of one log from one sample to another; the first time along a guess. Nonzero where they settled.
+        settle: Evaluates loads of one log from one sample to another; the first time along a guess. Returns nonzero if they
+            converged.
     """
 
     every: int
@@ -115,13 +116,13 @@ class Waves:
 
     @cached_property
     def steps(self) -> np.ndarray:
-        """Where the command (N, na, S) makes a step rather than streams: see `find_command_steps`."""
+        """Mask (N, na, S) of commands that are steps, not parts of a stream: see `find_command_steps`."""
         return find_command_steps(self.command, self.dt)
 
 
 @dataclass(frozen=True, eq=False)
 class Trials:
-    """Parameter values to simulate, side by side.
+    """Parameter values to simulate in parallel.
 
     Attributes:
         values: Law entries and `coulomb`, `viscous`, `armature`, `offset`, by name (na, C).
@@ -133,7 +134,7 @@ class Trials:
 
 
 def find_command_steps(command: np.ndarray, dt: np.ndarray) -> np.ndarray:
-    """Return where commands make a step (N, na, S): they changed after a rest, or faster than a stream does.
+    """Return the mask (N, na, S) of steps of commands: changes after a rest, or faster than a stream.
 
     Args:
         command: Commands (N, na, S) [rad], each holding until the next.
