@@ -50,7 +50,7 @@ from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.robot import Robot
 
 EFFECTS: dict[str, type[Effect]] = {}
-"""Every effect by the name model files use, causes in the order in which they are listed."""
+"""Every effect by its name in model files, causes in the order in which they are listed."""
 
 _SAID_BY_A_CAUSE = ("equation", "reveals")
 E = TypeVar("E", bound=type[Effect])
@@ -91,7 +91,7 @@ def register(effect: E) -> E:
 
 
 def _again(known: type[Effect], effect: type[Effect]) -> bool:
-    """Whether this is a class from outside once more, such as a notebook's cell that is run again."""
+    """Whether a user's class is registered again, such as by a notebook's cell that is run twice."""
     ours = known.__module__.startswith("tau_dyn.")
     return known is effect or (known.__qualname__ == effect.__qualname__ and not ours)
 
@@ -137,7 +137,7 @@ def read_effects(rows: object, robot: Robot, where: str) -> tuple[Effect, ...]:
     Joints default to all actuated ones, settings to the effect's own defaults.
 
     Raises:
-        InputError: `where`, the file, has an entry that is no effect, or one that this robot cannot have.
+        InputError: `where`, the file, has an entry that is not an effect, or one that this robot cannot have.
     """
     if not isinstance(rows, list):
         raise InputError("file_format", f"{where}: 'effects' must be a list")
@@ -183,7 +183,7 @@ def acts_on_recording(effect: Effect) -> bool:
 
 
 def describe_missing_state(effect: Effect, given: Collection[str]) -> str:
-    """Return why a state `(q, v, a)` and the signals given do not determine an effect's force; empty if they do."""
+    """Return the reason why a state `(q, v, a)` and the given signals do not determine an effect's force; empty if they do."""
     if acts_on_recording(effect):
         return "it distorts what is recorded and leaves the robot's force as it is"
     missing = [name for name in effect.needs if name not in given]

@@ -43,12 +43,12 @@ NO_EXPERIMENT = "none: the robot lacks the part"
 
 
 def format_amount(parameter: Parameter) -> str:
-    """Return a parameter's value with its standard error, where it has one, and its unit."""
+    """Return a parameter's value with its standard error, if it has one, and its unit."""
     return format_quantity(parameter.value, parameter.unit, parameter.stderr)
 
 
 def format_quantity(value: float, unit: str, stderr: float | None = None) -> str:
-    """Return a value [unit] to the digits that its standard error leaves, or to three."""
+    """Return a value [unit] with the digits that its standard error supports, or with three."""
     unit = "" if unit == "1" else unit
     scale, unit = _prefixed(max(abs(value), stderr or 0.0), unit)
     value = value / scale
@@ -77,14 +77,14 @@ def spell_unit(unit: str, force: str) -> str:
 
 
 def describe_one_sided(friction: str, half: Parameter) -> str:
-    """Return by how much a friction of one direction exceeds the other's, of which the parameter is half the difference."""
+    """Return the excess of one direction's friction over the other's; the parameter is half the difference."""
     way = "forward" if half.value >= 0 else "backward"
     more = format_quantity(2 * abs(half.value), half.unit, None if half.stderr is None else 2 * half.stderr)
     return f"{friction} {more} higher when moving {way} than the other way"
 
 
 def _prefixed(size: float, unit: str) -> tuple[float, str]:
-    """Return the factor and the unit that leave a number from one up, where there is one."""
+    """Return the factor and the unit for which a number is at least one, if there is such a unit."""
     rows = _PREFIXES.get(unit, ())
     return next((row for row in rows if size >= row[0]), rows[-1] if size > 0 and rows else (1.0, unit))
 
@@ -124,7 +124,7 @@ class PlausibleRange:
         return (name == self.quantity or name.startswith(f"{self.quantity}_")) and self.unit in ("", unit)
 
     def bounds(self, joint: str, scales: JointScales) -> tuple[float, float]:
-        """Return both bounds for a joint in SI units; infinite where the reference is not known."""
+        """Return both bounds for a joint in SI units; infinite if the reference is unknown."""
         if not self.of:
             return self.low, self.high
         size = scales.get(joint, {}).get(self.of)
@@ -161,7 +161,7 @@ def _share(x: float) -> str:
 
 
 MAX_TERMS = 1000
-"""Terms that an effect may have on a joint; a file that asks for 10^9 of them would be read for ever."""
+"""Largest number of terms of an effect on a joint; a file with 10^9 of them would never be read completely."""
 
 
 class Effect(ABC):
@@ -169,14 +169,14 @@ class Effect(ABC):
 
     Attributes:
         name: Name in model files; for an effect with a cause, the cause's name.
-        equation: The law in one line, for people.
+        equation: The law in one line, for readers.
         joints: The actuated joints it acts on.
         units: The joints' force units, 'N' or 'N m', by joint.
         settings: Quantities in which it is nonlinear; name -> value in SI units.
         label: Suffix of its parameters' names, so that two instances on one joint differ; mostly empty.
         cause: Whether diagnosis may name it (its name is then one of the contract's causes).
         reference: Source of the equation.
-        reveals: The motion or recording that shows it, for people.
+        reveals: The motion or recording that shows it, for readers.
         mistaken_for: Causes that it is easily confused with.
         equivalent: Causes that no data of this kind can distinguish from it.
         needs: Signals of the motion that it depends on.
@@ -237,7 +237,7 @@ class Effect(ABC):
         self.settings: dict[str, float] = {**self.defaults, **{k: float(x) for k, x in settings.items()}}
 
     def __repr__(self) -> str:
-        """Return a line: what acts where, with which settings."""
+        """Return a line with the effect, its joints and its settings."""
         given = [*self.joints, *(f"{key}={value:g}" for key, value in self.settings.items())]
         return f"{type(self).__name__}({', '.join(given)})"
 
@@ -278,9 +278,9 @@ class Effect(ABC):
 
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
-        """Return why this motion cannot show the effect and the experiment that would, or None if it can.
+        """Return the reason why this motion cannot show the effect and the experiment that would, or None if it can.
 
-        The experiment is `NO_EXPERIMENT` where the robot lacks the part.
+        The experiment is `NO_EXPERIMENT` if the robot lacks the part.
         """
         missing = [name for name in cls.needs if name not in scene.signals]
         return (f"the logs give no {missing[0]}", cls.reveals) if missing else None
@@ -324,7 +324,7 @@ class Effect(ABC):
         return None
 
     def lookalikes(self) -> list[Effect]:
-        """Return laws without a name, with as many terms, that must explain less for this one to be named."""
+        """Return unnamed laws with the same number of terms, which must explain less for this one to be named."""
         return []
 
     @property
@@ -346,12 +346,12 @@ class Effect(ABC):
         return self.columns(motion) @ parameters.select(self.parameters.names).values
 
     def describe(self, parameters: Parameters) -> str:
-        """Return the effect at these values in words, with units and standard errors where they are known."""
+        """Return the effect at these values in words, with units and known standard errors."""
         found = ", ".join(f"{p.name} = {format_amount(p)}" for p in parameters.select(self.parameters.names))
         return f"{self.name.replace('_', ' ')}: {found}"
 
     def other_speeds(self, motion: Motion) -> list[tuple[np.ndarray, list[int]]]:
-        """Return speeds (N,) beyond the joints' own whose sign it uses, each with the joints' indices it acts on."""
+        """Return speeds (N,) other than the joints' own whose sign it uses, each with the indices of the joints it acts on."""
         return []
 
     def to_dict(self) -> dict[str, Any]:

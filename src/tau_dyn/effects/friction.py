@@ -35,7 +35,7 @@ class SymmetricFriction(JointwiseEffect):
 
 
 class AsymmetricFriction(JointwiseEffect):
-    """Coulomb and viscous friction with coefficients of its own in each direction."""
+    """Coulomb and viscous friction with separate coefficients for each direction."""
 
     name = "asymmetric_friction"
     equation = "tau = coulomb_pos + viscous_pos v (v > 0), -coulomb_neg + viscous_neg v (v < 0)"
@@ -47,7 +47,7 @@ class AsymmetricFriction(JointwiseEffect):
         return -np.inf if quantity.startswith("coulomb") else 0.0
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
-        """Return each direction's law, weighted by how much the joint moves that way."""
+        """Return each direction's law, weighted by the share of motion in that direction."""
         forward, backward = (1 + joint.sign) / 2, (1 - joint.sign) / 2
         return [forward, -backward, joint.v * forward, joint.v * backward]
 
@@ -91,7 +91,7 @@ class CoulombAsymmetry(JointwiseEffect):
         return [np.ones_like(joint.v)]
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return how much more Coulomb friction one direction has."""
+        """Return the excess of Coulomb friction in one direction."""
         return describe_one_sided("Coulomb friction", values["coulomb_asymmetry"])
 
 
@@ -113,12 +113,12 @@ class ViscousAsymmetry(JointwiseEffect):
         return [np.abs(joint.v)]
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return how much more viscous friction one direction has."""
+        """Return the excess of viscous friction in one direction."""
         return describe_one_sided("viscous friction", values["viscous_asymmetry"])
 
 
 _POWERS = {1.0: 1.0, 2.0: 3**0.5}
-"""Powers tried, and how many times the speed makes the peak about as wide as with the first."""
+"""Powers tried, each with the factor of the speed for which the peak is about as wide as with the first."""
 
 
 class Stribeck(JointwiseEffect):
@@ -146,7 +146,7 @@ class Stribeck(JointwiseEffect):
         return [joint.sign * np.exp(-((np.abs(joint.v) / self.settings["speed"]) ** self.settings["power"]))]
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return the peak and where 5 % of it are left."""
+        """Return the peak and the speed at which 5 % of it remain."""
         gone = format_quantity(
             3 ** (1 / self.settings["power"]) * self.settings["speed"], spell_unit("V", self.units[joint])
         )
@@ -168,7 +168,7 @@ class Stribeck(JointwiseEffect):
 
 
 class QuadraticDrag(JointwiseEffect):
-    """A force against the motion, of the speed squared."""
+    """A force against the motion, proportional to the speed squared."""
 
     name = "quadratic_drag"
     cause = True
@@ -189,18 +189,18 @@ class QuadraticDrag(JointwiseEffect):
 
 
 _MEMORY_PERIODS = 4.0
-"""Periods of the low-pass' cutoff over which a step is smeared, two to each side."""
+"""Periods of the low-pass' cutoff over which a step is smoothed, two to each side."""
 _KNEE_AT_SPEED = 0.2
-"""Share of the fast speeds from which a knee is seen at speed, whatever happens at starts and reversals."""
+"""Share of the fast speeds from which a knee is observable at speed, independent of starts and reversals."""
 PARABOLA = 2.0
-"""Power that denotes the law without a knee to be found: the parabola `x (2 - x)` that levels off at its knee, the top speed."""
+"""Power that denotes the law without a fitted knee: the parabola `x (2 - x)` that levels off at its knee, the top speed."""
 _KNEES = {0.0: (0.04, 0.1, 0.25, 0.6), 0.5: (0.03, 0.1), 1.5: (0.1,)}
-"""Power -> knees tried, as shares of the fast speeds. Beyond them the law is a straight line or a step, which the baseline has;
-of a power 0.5 with a knee further up the curve is that of power 0."""
+"""Power -> knees tried, as shares of the fast speeds. Beyond them the law is a straight line or a step, which the baseline
+contains; a power of 0.5 with a higher knee has the same curve as power 0."""
 
 
 class ViscousCurvature(JointwiseEffect):
-    """Friction whose growth with speed levels off or speeds up."""
+    """Friction whose growth with speed decreases or increases."""
 
     name = "viscous_curvature"
     cause = True
@@ -241,7 +241,7 @@ class ViscousCurvature(JointwiseEffect):
         return [joint.sign * x * (1 + x**2) ** ((self.settings["power"] - 1) / 2)]
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return the part of the friction that is not in proportion to the speed, and from which speed."""
+        """Return the part of the friction that is not proportional to the speed, and the speed from which it acts."""
         how, knee = "more" if self.settings["power"] > 1 else "less", self.setting("knee", joint)
         size = format_amount(values["viscous_curvature"])
         if self.settings["power"] == PARABOLA:

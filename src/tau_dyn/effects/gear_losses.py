@@ -23,7 +23,7 @@ from tau_dyn.effects.motion import JointMotion, Scene
 
 
 class LoadFriction(JointwiseEffect):
-    """Coulomb friction in proportion to the load."""
+    """Coulomb friction proportional to the load."""
 
     name = "load_friction"
     cause = True
@@ -44,7 +44,7 @@ class LoadFriction(JointwiseEffect):
 
 
 class DirectionalEfficiency(JointwiseEffect):
-    """Friction in proportion to the load, with one coefficient while a gear drives and another while it is driven."""
+    """Friction proportional to the load, with one coefficient while a gear drives and another while it is driven."""
 
     name = "directional_efficiency"
     cause = True
@@ -52,7 +52,7 @@ class DirectionalEfficiency(JointwiseEffect):
     reference = "Abba & Sardain 2003; Duclusaud et al. 2025"
     reveals = "lifting and lowering of a weighed payload, its mass fixed by --fix, on a joint whose load differs much"
     mistaken_for = ("load_friction", "drive_gain", "payload", "link_mass")
-    # From spur gears to worms at the verge of holding their load by themselves
+    # From spur gears to worms that nearly hold their load by themselves
     plausible = (PlausibleRange("loss_driving", 0.0, 1.0), PlausibleRange("loss_driven", 0.0, 1.0))
     needs = ("load", "reducer_torque")
     special = "load_friction"
@@ -61,7 +61,7 @@ class DirectionalEfficiency(JointwiseEffect):
     nonnegative = True
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
-        """Return the load's size against the motion, of samples that drive and of those that are driven."""
+        """Return the load's magnitude against the motion, for samples that drive and for those that are driven."""
         load = joint.signal("reducer_torque")
         against, along = np.abs(load) * joint.sign, load * np.abs(joint.sign)
         return [(against + along) / 2, (against - along) / 2]

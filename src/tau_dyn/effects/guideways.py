@@ -61,7 +61,7 @@ class CartShift(DisplacementEffect, JointParameters):
 
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
-        """Return that a measured tool is missing, or carts, where so."""
+        """Return that a measured tool or carts are missing, if so."""
         if not cls.groups(scene):
             return "the robot has no carts", NO_EXPERIMENT
         return None if SENSITIVITY in scene.signals else ("no measured tool positions are looked at here", cls.reveals)
@@ -72,7 +72,7 @@ GUIDE_ACROSS = "guide_across"
 
 
 class GuidewayNonparallel(CartShift):
-    """Displacement across the guideway in proportion to the way along it."""
+    """Displacement across the guideway proportional to the travel along it."""
 
     name = "guideway_nonparallel"
     cause = True
@@ -80,14 +80,14 @@ class GuidewayNonparallel(CartShift):
     reference = "Dressler 2012, 4.1 and 5.2"
     reveals = "tool positions measured over each guideway's whole length, with the rods at many angles"
     mistaken_for = ("pinion_scale", "guideway_not_straight", "cart_tilt", "transmission_error", "rod_length")
-    # Guideways are laid to 0.1 to 5 mrad; 20 mrad are 2 cm in a metre, which an eye sees
+    # Guideways are aligned to 0.1 to 5 mrad; 20 mrad are 2 cm in a metre, which is visible
     plausible = (PlausibleRange("direction", -0.02, 0.02, "rad"),)
     needs = (SENSITIVITY, GUIDE_ACROSS)
     quantities = (("direction_y", "rad"), ("direction_z", "rad"))
     sentence = "the guideway is off its direction by {direction_y} and {direction_z}"
 
     def shift(self, motion: Motion) -> np.ndarray:
-        """Return the way along both directions as that cart's displacement per unit (N, na, 3, p)."""
+        """Return the travel along both directions as that cart's displacement per unit (N, na, 3, p)."""
         across = motion.signal(GUIDE_ACROSS)
         out = np.zeros((*motion.q.shape, 3, 2 * len(self.joints)))
         for k, index in enumerate(self._indices(motion)):
@@ -101,7 +101,7 @@ SIDE_FORCE = "side_force"
 
 
 class GuidewayCompliance(CartShift):
-    """Displacement across the guideway in proportion to the load across it."""
+    """Displacement across the guideway proportional to the load across it."""
 
     name = "guideway_compliance"
     cause = True
@@ -111,7 +111,7 @@ class GuidewayCompliance(CartShift):
         "tool positions measured over the whole workspace, with the links at many angles, and once with a known payload"
     )
     mistaken_for = ("cart_tilt", "guideway_not_straight", "rod_length")
-    # Linear guides have 0.01 to 2 um/N; a light frame yields ten times more
+    # Linear guides have 0.01 to 2 um/N; a light frame has ten times more
     plausible = (PlausibleRange("guideway_compliance", 0.0, 2e-5, "m/N"),)
     needs = (SENSITIVITY, SIDE_FORCE)
     nonnegative = True
@@ -137,7 +137,7 @@ _WAVES = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0)  # over the travel
 
 
 class CartTilt(CartShift):
-    """Displacement of a rod's end that waves slowly along the guideway."""
+    """Displacement of a rod's end that varies slowly along the guideway."""
 
     name = "cart_tilt"
     cause = True
@@ -164,7 +164,7 @@ class CartTilt(CartShift):
         return out
 
     def describe(self, parameters: Parameters) -> str:
-        """Return the size of the wave and its length."""
+        """Return the amplitude of the wave and its length."""
         period = format_quantity(self.settings["period"], "m")
         said = []
         for joint in self.joints:

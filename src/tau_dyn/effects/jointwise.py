@@ -24,7 +24,7 @@ from tau_dyn.parameters import Parameter, Parameters
 
 
 class JointParameters(Effect):
-    """An effect with the same parameters for each of its joints, and words for each."""
+    """An effect with the same parameters, and the same description, for each of its joints."""
 
     quantities: ClassVar[tuple[tuple[str, str], ...]]
     """Name and unit, with F for the force unit, V for the speed unit and Q for the position's."""
@@ -48,11 +48,11 @@ class JointParameters(Effect):
         return Parameters(rows)
 
     def lower(self, quantity: str) -> float:
-        """Return the smallest admissible value; zero where only amplitudes from zero up make sense."""
+        """Return the smallest admissible value; zero if only amplitudes from zero up are meaningful."""
         return 0.0 if self.nonnegative else -np.inf
 
     def describe(self, parameters: Parameters) -> str:
-        """Return the effect at these values in words, joint by joint where there are several."""
+        """Return the effect at these values in words, joint by joint if there are several."""
         said = []
         for joint in self.joints:
             values = {name: parameters[f"{joint}.{name}{self.label}"] for name, _ in self.terms}
@@ -84,14 +84,14 @@ class JointwiseEffect(JointParameters):
     def columns(self, motion: Motion) -> np.ndarray:
         """Return force per unit parameter (N, na, p)."""
         n, (N, na) = len(self.terms), motion.v.shape
-        out = np.zeros_like(motion.v, shape=(na, n * len(self.joints), N))  # samples last, as filters like them
+        out = np.zeros_like(motion.v, shape=(na, n * len(self.joints), N))  # samples last, for fast filters
         for k, index in enumerate(self._indices(motion)):
             for m, column in enumerate(self.per_joint(JointMotion.of(motion, index))):
                 out[index, n * k + m] = column
         return out.transpose(2, 0, 1)
 
 
-_MIN_SAMPLES = 5  # samples that a derivative of fourth order takes
+_MIN_SAMPLES = 5  # samples of a fourth-order derivative
 
 
 class DisplacementEffect(Effect):
@@ -107,7 +107,7 @@ class DisplacementEffect(Effect):
         """Return force per unit parameter (N, na, p); zero without a clock."""
         made = self.displacement(motion)
         N, na, p = made.shape
-        force = np.zeros((na, p, N))  # samples last: sums over them are long, and filters like it
+        force = np.zeros((na, p, N))  # samples last, for fast sums and filters
         speeds = [differentiate_columns(made[:, k], motion.t) for k in self._indices(motion)]
         if any(speed.any() for speed in speeds):
             for k, speed in zip(self._indices(motion), speeds, strict=True):
@@ -140,9 +140,9 @@ def subtract_load_force(
 
 
 def differentiate_columns(x: np.ndarray, t: np.ndarray | None) -> np.ndarray:
-    """Return the time derivative of (N, ...) on an even clock (N,) [s], as positions are differentiated.
+    """Return the time derivative of (N, ...) on an even clock (N,) [s], by the same rule as for positions.
 
-    Zeros without a clock or of too few samples.
+    Zero without a clock or for too few samples.
     """
     if t is None or len(t) < _MIN_SAMPLES or not np.any(x):
         return np.zeros(x.shape)
@@ -152,7 +152,7 @@ def differentiate_columns(x: np.ndarray, t: np.ndarray | None) -> np.ndarray:
 
 
 SEEN_DIRECTLY = frozenset({"tool", "load_side"})
-"""Signals that show where the load is: a measured tool, an encoder behind the drive."""
+"""Signals that measure the load's position: a measured tool, an encoder behind the drive."""
 
 
 class JointwiseDisplacement(DisplacementEffect, JointwiseEffect):

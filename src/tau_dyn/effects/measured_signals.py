@@ -43,7 +43,7 @@ def compute_travel(q: np.ndarray, v: np.ndarray, threshold: float) -> np.ndarray
 
 
 def makes_force(log: Log, joints: Sequence[str], signal: str) -> bool:
-    """Return whether a log has this signal for each joint, and each one's force, if there is any, is a constant times it."""
+    """Return whether a log has this signal for each joint, and each joint's nonzero force is a constant times it."""
     if not log.has(signal, joints):
         return False
     return not log.has("tau", joints) or bool(
@@ -52,7 +52,7 @@ def makes_force(log: Log, joints: Sequence[str], signal: str) -> bool:
 
 
 def is_proportional(tau: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Return for each column (n, na) whether it is a constant times another."""
+    """Return whether each column (n, na) is a constant times another."""
     scale = np.sum(x * tau, axis=0) / np.maximum(np.sum(x**2, axis=0), 1e-300)
     left = np.linalg.norm(tau - scale * x, axis=0)
     return left <= _MAX_UNPROPORTIONAL * np.linalg.norm(tau, axis=0)

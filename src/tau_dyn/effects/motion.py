@@ -1,4 +1,4 @@
-"""Actuated motion as effects see it, of all joints or of one; and what motions together offer to the search for causes."""
+"""Actuated motion in the form that effects use, of all joints or of one; and properties of motions for the search for causes."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ class LazySignals(Mapping[str, np.ndarray]):
         return self._made[name]
 
     def __contains__(self, name: object) -> bool:
-        """Return whether there is such a signal, without computing it."""
+        """Return whether the signal exists, without computing it."""
         return name in self._make
 
     def __iter__(self) -> Iterator[str]:
-        """Go through the names."""
+        """Iterate over the names."""
         return iter(self._make)
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return their number."""
         return len(self._make)
 
     @classmethod
     def changed(cls, signals: Mapping[str, np.ndarray], change: Callable[[np.ndarray], np.ndarray]) -> LazySignals:
-        """Return signals each of which is changed when first asked for."""
+        """Return signals, each of which is changed when first requested."""
         return cls({name: partial(lambda key: change(signals[key]), name) for name in signals})
 
 
@@ -56,7 +56,7 @@ class Motion:
         v: Velocities (N, na).
         a: Accelerations (N, na).
         sign: Direction of motion (N, na), in [-1, 1]; `sign(v)` by default.
-        t: Time (N,) [s] of samples in order, evenly spaced; None for samples in no order, as in a single simulator step.
+        t: Time (N,) [s] of samples in order, evenly spaced; None for unordered samples, as in a single simulator step.
         signals: Further signals that some effects need, by name: `load` (N, na) [N, N m] across each joint's axis,
             `reducer_torque` (N, na) that its drive transmits, with its sign, `passive` (N, n, 3, na) angular velocity of each
             passive joint per actuated speed, `inertia` (N, na, na) mass matrix, `damping` (N, na) growth of friction with
@@ -97,7 +97,7 @@ class Motion:
         return _signal(self.signals, name)
 
     def with_signals(self, **more: np.ndarray) -> Motion:
-        """Return the motion with further signals, or others in place of its own."""
+        """Return the motion with further or replaced signals."""
         kept = {name: partial(self.signals.__getitem__, name) for name in self.signals}
         return replace(
             self, signals=LazySignals({**kept, **{name: partial(np.asarray, x) for name, x in more.items()}})
@@ -105,7 +105,7 @@ class Motion:
 
 
 class _JointSignals(Mapping[str, np.ndarray]):
-    """One joint's part of signals."""
+    """The part of signals that belongs to one joint."""
 
     def __init__(self, signals: Mapping[str, np.ndarray], index: int) -> None:
         self._signals, self._index = signals, index
@@ -125,7 +125,7 @@ class _JointSignals(Mapping[str, np.ndarray]):
 
 @dataclass(frozen=True, eq=False)
 class JointMotion:
-    """One joint's part of a motion, each (N,)."""
+    """The part of a motion that belongs to one joint, each (N,)."""
 
     q: np.ndarray
     v: np.ndarray
@@ -136,7 +136,7 @@ class JointMotion:
 
     @classmethod
     def of(cls, motion: Motion, index: int) -> JointMotion:
-        """Look at the joint of this index; signals (N,) that belong to no joint stay as they are."""
+        """Select the joint of this index; signals (N,) that belong to no joint are not changed."""
         q, v, a, sign = (x[:, index] for x in (motion.q, motion.v, motion.a, motion.sign))
         return cls(q, v, a, sign, motion.t, _JointSignals(motion.signals, index))
 
@@ -203,7 +203,7 @@ class Scene:
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def index(self, joint: str) -> int:
-        """Return a joint's place."""
+        """Return a joint's index."""
         return self.joints.index(joint)
 
     def range_of(self, joint: str) -> tuple[float, float]:

@@ -33,16 +33,16 @@ from tau_dyn.parameters import Parameter
 
 _DISTANCES = (1e-3, 0.1)
 _N_TRIALS = 8  # distances tried, in steps of a factor of about two; refinement does the rest
-_PIECE = 30.0  # exponents of a stretch that is integrated at once; exp(30) leaves half of the digits
+_PIECE = 30.0  # largest exponent of a stretch that is integrated at once; exp(30) leaves half of the digits
 STATE = "presliding"
-"""Signal (N, na) that replaces z where somebody follows it from sample to sample, as the simulator does."""
+"""Signal (N, na) that replaces z if the caller tracks it from sample to sample, as the simulator does."""
 
 
 class Bristle(JointwiseEffect):
     """An effect with a bristle's state z; see the module."""
 
     def find_state(self, joint: JointMotion) -> np.ndarray:
-        """Return z (N,): as it is followed, along a recording, or as if it had always swung where samples are in no order."""
+        """Return z (N,): the tracked one, that along a recording, or the fully changed one for unordered samples."""
         z = joint.signals.get(STATE)
         if z is not None:
             return z
@@ -58,7 +58,7 @@ class Bristle(JointwiseEffect):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return distances from a thousandth to a tenth of the way travelled."""
+        """Return distances from a thousandth to a tenth of the distance travelled."""
         k = scene.index(joints[0])
         way = float(scene.high[k] - scene.low[k])
         return [{"distance": float(x) * way} for x in np.geomspace(*_DISTANCES, _N_TRIALS)] if way > 0 else []
@@ -130,7 +130,7 @@ class Hysteresis(Bristle, JointwiseDisplacement):
 
     @property
     def measured(self) -> bool:
-        """Only the displacement is the encoder's."""
+        """Only the displacement belongs to the encoder."""
         if self.settings["displaced"] not in (0, 1):
             raise InputError(
                 "invalid_value", "setting displaced of effect hysteresis is 0 (a force) or 1 (a displacement)"
@@ -138,7 +138,7 @@ class Hysteresis(Bristle, JointwiseDisplacement):
         return self.settings["displaced"] == 1
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
-        """Return z, less the sign for a force."""
+        """Return z, minus the sign for a force."""
         z = self.find_state(joint)
         return [z if self.measured else z - joint.sign]
 
@@ -154,7 +154,7 @@ class Hysteresis(Bristle, JointwiseDisplacement):
         return made if self.measured else np.zeros_like(made)
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return the loop and the distance that it takes."""
+        """Return the loop and its distance."""
         way = self.setting("distance", joint)
         if self.measured:
             return f"a loop of {format_amount(values['lost_motion'])} to either side between encoder and load, entered over {way}"
@@ -162,22 +162,22 @@ class Hysteresis(Bristle, JointwiseDisplacement):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return a bristle's distances; displacements where they can be seen."""
+        """Return a bristle's distances; displacements if they are observable."""
         displaced = float(bool(SEEN_DIRECTLY & scene.signals))
         return [row | {"displaced": displaced} for row in super().grid(scene, joints)]
 
 
 def follow_reversal(travel: np.ndarray, heading: np.ndarray, dq: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the way since the last reversal [m or rad] and the direction of motion, each (...), after moving by `dq` (...)."""
+    """Return the travel since the last reversal [m or rad] and the direction of motion, each (...), after a step `dq` (...)."""
     sign = np.sign(dq)
     return np.abs(dq) + np.where(sign * heading < 0, 0.0, travel), np.where(sign == 0, heading, sign)
 
 
 def integrate_bristle(q: np.ndarray, distance: float) -> np.ndarray:
-    """Return z (N,) along positions (N,) in order, exact where a joint does not turn between two samples.
+    """Return z (N,) along positions (N,) in order, exact if a joint does not reverse between two samples.
 
-    It starts from the other side, as if it had just turned. With x the way travelled over `distance`,
-    `z e^x` grows by `sign (e^x_{k+1} - e^x_k)`, which is summed over pieces short enough for the exponential.
+    It starts from the other side, as after a reversal. With x the travel divided by `distance`, `z e^x` grows by
+    `sign (e^x_{k+1} - e^x_k)`, which is summed over pieces short enough for the exponential.
     """
     step = np.diff(q)
     x = np.concatenate([[0.0], np.cumsum(np.abs(step))]) / distance

@@ -27,7 +27,7 @@ from tau_dyn.parameters import Parameter, Parameters
 
 
 class Armature(JointwiseEffect):
-    """Reflected rotor inertia beyond the robot file's."""
+    """Reflected rotor inertia in addition to the robot file's."""
 
     name = "armature"
     cause = True
@@ -55,7 +55,7 @@ class DriveGain(JointwiseEffect):
     reference = "Gautier & Briot 2014"
     reveals = "one motion without and with a weighed payload, its mass fixed by --fix"
     mistaken_for = ("payload", "link_mass")
-    # Torque constants scatter by 10 % and fall by 20 % with warm magnets
+    # Torque constants scatter by 10 % and decrease by 20 % with warm magnets
     plausible = (PlausibleRange("gain_error", -0.3, 0.3),)
     needs = ("force",)
     quantities = (("gain_error", "1"),)
@@ -75,7 +75,7 @@ class ReducerCoupling(Effect):
     reference = "Gautier & Venture 2013"
     reveals = "motion in which the two joints turn together, against each other, and each alone"
     mistaken_for = ("link_mass", "passive_joint_friction")
-    # The shared motor is of the size of the joints' own motors
+    # The shared motor is as large as the joints' own motors
     plausible = (
         PlausibleRange("inertia", 0.0, 1.0, of="inertia"),
         PlausibleRange("viscous", 0.0, 2.0, of="viscous"),
@@ -149,7 +149,7 @@ class PinionScale(JointwiseDisplacement):
     reference = "Dressler 2012, (4.13) and (5.6)"
     reveals = "the tool or the load side measured over the whole range"
     mistaken_for = ("guideway_nonparallel", "rod_length", "link_mass")
-    # A pinion or belt pitch off by 1 % is a wrong part
+    # A pinion or belt pitch wrong by 1 % is a wrong part
     plausible = (PlausibleRange("pinion_scale", -0.01, 0.01),)
     quantities = (("pinion_scale", "1"),)
     sentence = "positions read too long by {pinion_scale}"

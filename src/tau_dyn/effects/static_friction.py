@@ -20,13 +20,13 @@ from tau_dyn.parameters import Parameter
 _POWER = 8
 """Power of the speed's share: 95 % remain at 0.69 of the speed and 5 % at 1.15 of it."""
 _FIRST = 1.2
-"""Lowest speed tried, over the slowest usable one: below it hardly a sample feels the law."""
+"""Lowest speed tried, over the slowest usable one: below it hardly any sample is affected by the law."""
 _STEP = 1.25
 """Ratio of neighbouring speeds tried, about the width of the law's end."""
 
 
 class StaticFriction(JointwiseEffect):
-    """Friction at low speed that a drive's compensation takes away above it."""
+    """Friction at low speed that a drive's compensation removes above it."""
 
     name = "static_friction"
     cause = True
@@ -52,14 +52,14 @@ class StaticFriction(JointwiseEffect):
         return [joint.sign * np.exp(-((np.abs(joint.v) / self.settings["speed"]) ** _POWER))]
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return how much and up to which speed."""
+        """Return the amount and the limit speed."""
         return (
             f"static friction of {format_amount(values['static_friction'])} that ends at {self.setting('speed', joint)}"
         )
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return speeds from above the slowest that is seen to a third of the fast ones."""
+        """Return speeds from above the slowest measured one to a third of the fast ones."""
         k = scene.index(joints[0])
         low, high = _FIRST * scene.slow[k], scene.fast[k] / 3
         if not 0 < low < high:

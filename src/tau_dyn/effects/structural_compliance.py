@@ -39,7 +39,7 @@ _FREQUENCY_FACTORS = (0.97, 1.0, 1.03)
 
 
 class StructuralCompliance(JointwiseDisplacement):
-    """Springs between encoders and loads that ring."""
+    """Springs between encoders and loads that resonate."""
 
     name = "structural_compliance"
     cause = True
@@ -49,7 +49,7 @@ class StructuralCompliance(JointwiseDisplacement):
     reference = "Spong 1987; Dressler 2012, 6.3"
     reveals = "a multisine around the suspected resonance, riding on a stroke of constant speed"
     mistaken_for = ("joint_compliance", "delay", "payload", "drive_gain")
-    # Machine tools have 1e-8 m/N, light gantries 1e-5, flexible arms 1e-2 rad/(N m) (Dressler 2012, 6.3; Spong 1987) Modes of
+    # Machine tools have 1e-8 m/N, light gantries 1e-5, flexible arms 1e-2 rad/(N m) (Dressler 2012, 6.3; Spong 1987). Modes of
     # frames and arms are damped by 0.5 to 5 %, with reducers up to 15 % (Ewins 2000, 3.8); beyond it modes do not resonate
     plausible = (
         *build_slide_and_hinge_ranges("structural_compliance", "Q/F", (-1e-4, -1e-2), (1e-4, 1e-2)),
@@ -84,7 +84,7 @@ class StructuralCompliance(JointwiseDisplacement):
 
     @property
     def _ends(self) -> tuple[str, ...]:
-        """The ends of the modes that count."""
+        """Name suffixes of the modes in use."""
         return _ENDS[: int(self.settings["modes"])]
 
     @property
@@ -93,7 +93,7 @@ class StructuralCompliance(JointwiseDisplacement):
 
     @property
     def terms(self) -> tuple[tuple[str, str], ...]:
-        """A compliance a mode."""
+        """One compliance per mode."""
         return tuple((f"structural_compliance{end}", "Q/F") for end in self._ends)
 
     @property
@@ -105,7 +105,7 @@ class StructuralCompliance(JointwiseDisplacement):
 
     @property
     def _matrices(self) -> tuple[str, ...]:
-        """The same of each matrix of a structure: modes, and what modes above the band leave."""
+        """The same for each matrix of a structure: modes, and the residual compliance of modes above the band."""
         return (*self._ends, "_rest") if self.settings["rest"] else self._ends
 
     @property
@@ -115,14 +115,14 @@ class StructuralCompliance(JointwiseDisplacement):
         return [(i, j) for i in range(n) for j in range(n) if i <= j or not self.settings["reciprocal"]]
 
     def _entry(self, end: str, i: int, j: int) -> Parameter:
-        """Return an entry: the load of joint i that yields to the force of joint j; a matrix is bounded as a whole, or not."""
+        """Return an entry: the deflection of joint i's load by the force of joint j; entries of a matrix have no bounds."""
         one, other = self.joints[i], self.joints[j]
         owner = one if i == j else f"{one}+{other}"
         unit = spell_unit(f"{spell_unit('Q', self.units[one])}/F", self.units[other])
         return Parameter(f"{owner}.structural_compliance{end}{self.label}", 0.0, unit, origin=self.name)
 
     def columns(self, motion: Motion) -> np.ndarray:
-        """Return force per unit parameter (N, na, p); a structure's friction is in its guideways, before what yields."""
+        """Return force per unit parameter (N, na, p); a structure's friction is in its guideways, in front of the compliance."""
         if not self._coupled:
             return super().columns(motion)
         return super().columns(motion.with_signals(damping=np.zeros_like(motion.v)))
@@ -144,7 +144,7 @@ class StructuralCompliance(JointwiseDisplacement):
         return np.stack(made, axis=1).transpose(2, 0, 1)
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
-        """Return the swinging response of each mode to the force; at rest, the force itself."""
+        """Return the dynamic response of each mode to the force; at rest, the force itself."""
         return [compute_swinging_response(_felt(joint, f)[:, None], joint.t, f, z)[:, 0] for f, z in self._modes()]
 
     def _modes(self) -> list[tuple[float, float]]:
@@ -152,7 +152,7 @@ class StructuralCompliance(JointwiseDisplacement):
         return [(self.settings[f"frequency{end}"], self.settings[f"damping{end}"]) for end in self._ends]
 
     def describe(self, parameters: Parameters) -> str:
-        """Return resonances and what yields, in words."""
+        """Return resonances and compliances, in words."""
         if not self._coupled:
             return super().describe(parameters)
         n, said = len(self.joints), []
@@ -177,7 +177,7 @@ class StructuralCompliance(JointwiseDisplacement):
 
     @classmethod
     def groups(cls, scene: Scene) -> list[tuple[str, ...]]:
-        """Return each joint alone, or the structure as a whole where modes are proposed that no single joint explains."""
+        """Return each joint alone, or the structure as a whole if modes are proposed that no single joint explains."""
         return [tuple(scene.joints)] if scene.structure and len(scene.joints) > 1 else super().groups(scene)
 
     @classmethod
@@ -202,13 +202,13 @@ class StructuralCompliance(JointwiseDisplacement):
 
     @classmethod
     def of_resonances(cls, scene: Scene, joints: tuple[str, ...]) -> StructuralCompliance:
-        """Return the effect with all proposed modes on these joints; there must be one mode."""
+        """Return the effect with all proposed modes on these joints; there must be at least one mode."""
         plain = cls(joints, [scene.units[scene.index(joint)] for joint in joints])
         return plain.with_settings(**cls.proposal(scene, joints))
 
     @classmethod
     def proposal(cls, scene: Scene, joints: tuple[str, ...]) -> dict[str, float]:
-        """Return the settings that hold all proposed modes as they are proposed; there must be one."""
+        """Return the settings of all proposed modes, unchanged; there must be at least one mode."""
         return _around(scene.resonances[:MAX_MODES], _whole(scene) if len(joints) > 1 else {})[1]
 
 
@@ -218,7 +218,7 @@ def _whole(scene: Scene) -> dict[str, float]:
 
 
 def compute_swinging_response(F: np.ndarray, t: np.ndarray | None, frequency: float, damping: float) -> np.ndarray:
-    """Return the response (N, n) of unit springs and masses to forces (N, n) that go in straight lines from sample to sample.
+    """Return the response (N, n) of unit springs and masses to forces (N, n) that are linear between samples.
 
     Args:
         F: Forces [N or N m].

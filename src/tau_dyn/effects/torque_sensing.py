@@ -35,7 +35,7 @@ DELIVERED = "delivered_force"
 
 
 class ForceReading(Effect):
-    """An effect that distorts the force in the log; the robot gets the force itself."""
+    """An effect that distorts the force in the log; the robot receives the true force."""
 
     @property
     def measured(self) -> bool:
@@ -44,7 +44,7 @@ class ForceReading(Effect):
 
 
 class TorqueSaturation(ForceReading, JointwiseEffect):
-    """A force that is reported too large in proportion to its cube."""
+    """A force that is reported too large by a term proportional to its cube."""
 
     name = "torque_saturation"
     cause = True
@@ -88,7 +88,7 @@ class TorqueCrosstalk(ForceReading):
     reference = "Gautier & Venture 2013"
     reveals = "motion of the other joint alone, the first one held still at several places"
     mistaken_for = ("reducer_coupling", "link_mass", "gravity_direction", "joint_zero")
-    # Sensors are decoupled to a few per cent; a third is a matrix that was never applied
+    # Sensors are decoupled to a few per cent; a third means a decoupling matrix that was never applied
     plausible = (PlausibleRange("torque_crosstalk", -0.3, 0.3),)
     needs = ("force",)
 
@@ -113,7 +113,7 @@ class TorqueCrosstalk(ForceReading):
 
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
-        """Return that there is no other joint of the same kind, where so."""
+        """Return that there is no other joint of the same kind, if so."""
         return (
             super().untestable(scene) if cls.groups(scene) else ("no two joints have forces of one kind", NO_EXPERIMENT)
         )
@@ -126,6 +126,6 @@ class TorqueCrosstalk(ForceReading):
         return out
 
     def describe(self, parameters: Parameters) -> str:
-        """Return whose force leaks into which log."""
+        """Return the joint whose force leaks, and the joint in whose log it appears."""
         (share,) = parameters.select(self.parameters.names)
         return f"{format_percent(share)} of the force of {self.joints[1]} in the logged force of {self.joints[0]}"

@@ -23,13 +23,13 @@ from tau_dyn.effects.motion import JointMotion, JointScales, Scene
 from tau_dyn.parameters import Parameter, Parameters
 
 REPORTED = "reported_force"
-"""Signal (N, na) [N or N m]: the force that the log holds, low-passed as positions are."""
+"""Signal (N, na) [N or N m]: the logged force, low-passed like positions."""
 _OFF = 0.3
 """Distance of the lost share from one within which it is the cause: a line fitted to noise loses a few per cent of its excess."""
 
 
 class TorqueSpeedLimit(JointwiseEffect):
-    """Force asked for beyond a motor's torque-speed line."""
+    """Commanded force beyond a motor's torque-speed line."""
 
     name = "torque_speed_limit"
     cause = True
@@ -57,7 +57,7 @@ class TorqueSpeedLimit(JointwiseEffect):
         return [joint.sign * np.maximum(0.0, joint.sign * joint.signal(REPORTED) - limit)]
 
     def find_implausible(self, parameters: Parameters, scales: JointScales, margin: float = 1.0) -> str:
-        """Return that the lost share is far from one, in the search as well: there is no wide range of it."""
+        """Return that the lost share is far from one; the search does not widen this range."""
         return super().find_implausible(parameters, scales)
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
@@ -68,12 +68,12 @@ class TorqueSpeedLimit(JointwiseEffect):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return the line of the robot file, where it gives one."""
+        """Return the line of the robot file, if it gives one."""
         line = scene.limits.get(joints[0])
         return [{"stall": line[0], "no_load": line[1]}] if line else []
 
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
-        """Return that the robot file gives no line, where so."""
+        """Return that the robot file gives no line, if so."""
         missing = ("the robot file gives no effort and velocity limits, which are the line's ends", cls.reveals)
         return super().untestable(scene) if any(joint in scene.limits for joint in scene.joints) else missing

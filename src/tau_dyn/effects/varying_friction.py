@@ -26,7 +26,7 @@ from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion, Motion, Scene
 from tau_dyn.parameters import Parameter, Parameters
 
-_MIN_LAG_S = 3.0  # s; a quicker drift is no matter of temperature
+_MIN_LAG_S = 3.0  # s; a faster drift is not due to temperature
 _LAG_STEP = 2.0  # ratio of neighbouring time constants tried; refinement does the rest
 
 
@@ -39,7 +39,7 @@ class ThermalDrift(JointwiseEffect):
     reference = "Dressler 2012, 6.2; Bittencourt & Gunnarsson 2012"
     reveals = "the same motion repeated from cold to warm, with a column temp_JOINT or temp_room in the log"
     mistaken_for = ("friction_change", "position_friction", "viscous_asymmetry")
-    # Grease loses 3 to 8 % of its friction a kelvin when cold, less when warm (Bittencourt & Gunnarsson 2012)
+    # Grease loses 3 to 8 % of its friction per kelvin when cold, less when warm (Bittencourt & Gunnarsson 2012)
     plausible = (
         PlausibleRange("thermal_coulomb", -0.1, 0.05, of="coulomb"),
         PlausibleRange("thermal_viscous", -0.1, 0.05, of="viscous"),
@@ -59,7 +59,7 @@ class ThermalDrift(JointwiseEffect):
         return [joint.sign * warmth, joint.v * warmth]
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return the change a kelvin and the lag."""
+        """Return the change per kelvin and the lag."""
         lag = self.settings["lag"]
         late = f", {format_quantity(lag, 's')} behind the sensor" if lag > 0 else ""
         coulomb, viscous = values["thermal_coulomb"], values["thermal_viscous"]
@@ -85,7 +85,7 @@ def filter_first_order(temperature: np.ndarray, t: np.ndarray | None, lag: float
 
 
 class FrictionChange(JointwiseEffect):
-    """Coulomb and viscous friction that one log has beyond the others."""
+    """Additional Coulomb and viscous friction in one log."""
 
     name = "friction_change"
     cause = True
@@ -108,7 +108,7 @@ class FrictionChange(JointwiseEffect):
         return [joint.sign * here, joint.v * here]
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return what changed in which log."""
+        """Return the change and its log."""
         coulomb, viscous = values["coulomb_change"], values["viscous_change"]
         return (
             f"friction in log {1 + int(self.settings['number'])} that differs from the others' by "
@@ -117,7 +117,7 @@ class FrictionChange(JointwiseEffect):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return each log; of two, the second, since the first differs from it by as much."""
+        """Return each log; for two logs only the second, since the first differs from it by the same amount."""
         first = 0 if scene.campaigns > 2 else 1
         return [{"number": float(k)} for k in range(first, scene.campaigns)]
 
@@ -129,7 +129,7 @@ class FrictionChange(JointwiseEffect):
 
 _DEGREES = (2, 5, 8, 12)
 _SECONDS = 3.0
-"""Motion that each term needs, to see its part of the way in both directions more than once."""
+"""Duration of motion [s] for each term, to cover its part of the range in both directions more than once."""
 
 
 class PositionFriction(JointwiseEffect):
@@ -141,7 +141,7 @@ class PositionFriction(JointwiseEffect):
     reference = "Dressler 2012, 6.2; Khalil & Dombre 2002, 9.6"
     reveals = "slow constant-speed strokes over the whole range, in both directions"
     mistaken_for = ("load_friction", "thermal_drift", "cyclic_ripple", "passive_joint_friction")
-    # Friction stays positive at each place
+    # Friction remains positive at each position
     plausible = (PlausibleRange("position_friction", -1.0, 1.0, of="coulomb"),)
     quantities = ()
     defaults = {"middle": 0.0, "half": 1.0, "degree": 2}
@@ -151,7 +151,7 @@ class PositionFriction(JointwiseEffect):
 
     @property
     def terms(self) -> tuple[tuple[str, str], ...]:
-        """One amplitude a degree, from one up."""
+        """One amplitude per degree, from degree one up."""
         return tuple((f"position_friction_{k}", "F") for k in range(1, int(self.settings["degree"]) + 1))
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
@@ -160,7 +160,7 @@ class PositionFriction(JointwiseEffect):
         return [joint.sign * P[:, k] for k in range(P.shape[1])]
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return where friction is lowest and highest, relative to its mean over the range."""
+        """Return the positions of lowest and highest friction, relative to its mean over the range."""
         q = self.settings["middle"] + self.settings["half"] * np.linspace(-1, 1, 201)
         friction = self._polynomials(q) @ np.array([p.value for p in values.values()])
         force, place = self.units[joint], spell_unit("Q", self.units[joint])
@@ -171,7 +171,7 @@ class PositionFriction(JointwiseEffect):
         )
 
     def lookalikes(self) -> list[Effect]:
-        """Return viscous friction that differs along the way in the same manner: `v` in place of `sign(v)`."""
+        """Return viscous friction with the same dependence on the position: `v` in place of `sign(v)`."""
         return [_PositionDrag(self.joints, self.units.values(), label=self.label, **self.settings)]
 
     def _polynomials(self, q: np.ndarray) -> np.ndarray:
@@ -231,7 +231,7 @@ class PassiveJointFriction(Effect):
 
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
-        """Return that there are no passive joints, where so."""
+        """Return that there are no passive joints, if so."""
         return (
             None if "passive" in scene.signals else ("the robot has no loops and so no passive joints", NO_EXPERIMENT)
         )
@@ -252,9 +252,10 @@ class PassiveJointFriction(Effect):
         return f"friction of {coulomb} and {viscous} in every joint without a motor"
 
     def other_speeds(self, motion: Motion) -> list[tuple[np.ndarray, list[int]]]:
-        """Return each bearing's speed as the joints' speeds that would turn it so: `|w| / |P|`.
+        """Return each bearing's speed, converted to the joints' speed that causes it: `|w| / |P|`.
 
-        A bearing with one axis has a sign to lose. With more, the direction is unsure where `|w|` is within the noise.
+        The sign of a bearing with one axis may be uncertain. With more axes, the direction is uncertain if `|w|` is within the
+        noise.
         """
         found = []
         joints = list(range(motion.v.shape[1]))

@@ -1,4 +1,4 @@
-"""What `diagnose` answers, and its JSON form."""
+"""The result of `diagnose`, and its JSON form."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ class Diagnosis(Shown):
 
     @property
     def exit_status(self) -> int:
-        """3 for the verdict `cannot_tell`, else 0."""
+        """3 for the verdict `cannot_tell`, otherwise 0."""
         return 3 if self.verdict == "cannot_tell" else 0
 
     def plot(self) -> Figure:

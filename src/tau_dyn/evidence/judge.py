@@ -2,13 +2,13 @@
 
     channel -> null model, candidate scan, stepwise selection -> confirmation -> claims with their gain -> findings, verdict
 
-A selected cause that the validation data show, but whose amplitude or setting no machine has, is listed as rejected, and the
-selection is repeated without it: another cause may explain the same residual. That other cause has to leave a residual that is
-consistent with the noise, since the better fit was turned down. A cause that is confirmed with the rejected one in the model and
-without it, with the same amplitude, explains another part of the residual, and needs no such residual.
+A selected cause that the validation data show, but whose amplitude or setting is implausible for any machine, is listed as
+rejected, and the selection is repeated without it: another cause may explain the same residual. That other cause has to leave a
+residual that is consistent with the noise, since the better fit was rejected. A cause that is confirmed with the rejected one
+in the model and without it, with the same amplitude, explains another part of the residual, and needs no such residual.
 
-`nothing_found` is a test result. The residual of every output is consistent with its noise (`unexplained.py`), and no
-rejected candidate is shown by the validation data; else the verdict is `unexplained`.
+`nothing_found` is a test result. The residual of every output is consistent with its noise (`unexplained.py`), and no rejected
+candidate is shown by the validation data; otherwise the verdict is `unexplained`.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from tau_dyn.evidence.validation import ConfirmationResults, confirm_all, confir
 from tau_dyn.parameters import Parameters
 
 MAX_SEARCHES = 3
-"""Selections of one channel: each one after the first leaves out the causes that no machine has."""
+"""Largest number of selections of one channel: each one after the first leaves out the rejected causes."""
 _LEAVES_STRUCTURE = "a cause outside of its plausible range fits better, and this one leaves a residual above the noise"
 MAX_CHANGE_STDERR = 2.0
 """Standard errors, rms over the amplitudes of a cause, by which they may change with a rejected cause in the model: half the
@@ -83,7 +83,7 @@ class Examination:
         periods: Periods that fit each selected cause equally, for static poses.
         consistency: Test of each output's residual against its noise; empty if a cause is confirmed.
         findings: The selected and the rejected causes as findings.
-        unexplained: Structure without a name.
+        unexplained: Structure without a known cause.
         aliased: Findings whose period is open.
         remark: A fact about the nominal values for the reader, as a sentence.
     """
@@ -101,7 +101,7 @@ class Examination:
 
 
 Selection = tuple[StepwiseSelection, Structure | None]
-"""Causes that the training data show, and a structure without a name with these in the model."""
+"""Causes that the training data show, and unexplained structure with these in the model."""
 
 
 def examine_channel(channel: Channel, options: ExaminationOptions, first: Selection | None = None) -> Examination:
@@ -109,8 +109,8 @@ def examine_channel(channel: Channel, options: ExaminationOptions, first: Select
 
     Args:
         channel: The measurements.
-        options: The circumstances.
-        first: What `search_channel` returned for them; None to search.
+        options: The options.
+        first: Result of `search_channel` for the same data; None to search.
     """
     excluded: set[tuple[str, tuple[str, ...]]] = set()
     rejected: list[Finding] = []
@@ -155,7 +155,7 @@ def _examine_once(
 def search_channel(
     channel: Channel, options: ExaminationOptions, excluded: Collection[tuple[str, tuple[str, ...]]] = ()
 ) -> Selection:
-    """Return the causes that the training data show, and a structure without a name with these in the model."""
+    """Return the causes that the training data show, and unexplained structure with these in the model."""
     options.progress("looking for causes")
     noise = options.noise
     artefact_filter = noise.reject_artefacts if noise else None
@@ -185,7 +185,7 @@ def _reject_artefacts(
 
 
 def _doubt(claims: Claims, periods: Sequence[tuple[float, ...]], doubt: str) -> Claims:
-    """Return the claims without those that a doubt about the data or an open period forbids."""
+    """Return the claims without those that a problem of the data or a period that is not identifiable excludes."""
     claims = claims.reject_all(doubt) if doubt else claims
     for k, fitting in enumerate(periods):
         claims = claims.judge(k, "several periods fit equally") if len(fitting) > 1 else claims
@@ -193,7 +193,7 @@ def _doubt(claims: Claims, periods: Sequence[tuple[float, ...]], doubt: str) -> 
 
 
 def _list_implausible(found: Examination) -> list[int]:
-    """Return the places of the causes that the validation data show and no machine has."""
+    """Return the indices of implausible causes that the validation data show."""
     claims = zip(found.claims.why_not, found.tests.causes, strict=True)
     return [k for k, (why, test) in enumerate(claims) if isinstance(why, Implausible) and test.is_confirmed]
 
@@ -278,7 +278,7 @@ def _require_consistency(
 
 
 def _with_findings(found: Examination, options: ExaminationOptions, rejected: Sequence[Finding]) -> Examination:
-    """Return the examination with its findings, the structure without a name, and the test of the residual."""
+    """Return the examination with its findings, the structure without a known cause, and the test of the residual."""
     selection, claims, rng = found.selection, found.claims, options.rng
     findings = [
         leave_period_open(selection.channel, one, finding, fitting)
@@ -333,7 +333,7 @@ def _confirm_with_others(
 
 
 def _is_gain_or_body(finding: Finding) -> bool:
-    """Return whether a gain of the drives and a body explain the same difference, whichever of them gives the name."""
+    """Return whether a gain of the drives and a body explain the same difference, independent of the reported cause."""
     twins = finding.indistinguishable_from
     return "drive_gain" in twins or (finding.cause == "drive_gain" and bool(twins))
 

@@ -25,7 +25,7 @@ class Drawing:
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A line through points (n,), broken where a y is NaN."""
+    """A line through points (n,), interrupted where y is NaN."""
 
     x: np.ndarray
     y: np.ndarray
@@ -91,7 +91,7 @@ class Ring:
 
 @dataclass(frozen=True)
 class Label:
-    """Words at a place; `anchor` is `start`, `middle` or `end`."""
+    """Text at a point; `anchor` is `start`, `middle` or `end`."""
 
     x: float
     y: float
@@ -173,12 +173,12 @@ class RobotPicture(Drawing):
 
 @dataclass(frozen=True, eq=False)
 class SwingPicture(Drawing):
-    """A mode's shape on a robot: at rest, and swung out to and fro.
+    """A mode's shape on a robot: at rest, and deflected in both directions.
 
     Attributes:
         skeleton: The robot as lines: `modes.Skeleton`.
-        swing: What moves and how far: `modes.ModeShape`.
-        who: Whose mode it is.
+        swing: The displacements: `modes.ModeShape`.
+        who: The owner of the mode.
     """
 
     skeleton: Any
@@ -195,7 +195,7 @@ class ShapePicture(Drawing):
 
 
 def find_space_axes(outputs: Sequence[str]) -> dict[str, int]:
-    """Return which output is which axis of one point: `x_tool y_tool`, `ax_tool ay_tool az_tool`; empty if they are not."""
+    """Return the axes of one point that outputs measure: `x_tool y_tool`, `ax_tool ay_tool az_tool`; empty if they are not."""
     found: dict[str, dict[str, int]] = {}
     for k, name in enumerate(outputs):
         match = re.fullmatch(r"([av]?)([xyz])(?:_(\w+))?", name)
@@ -207,7 +207,7 @@ def find_space_axes(outputs: Sequence[str]) -> dict[str, int]:
 
 @dataclass(frozen=True, eq=False)
 class VectorPicture(Drawing):
-    """Vectors (n, 3) at places (n, 3) [m] in space, drawn so many times their size."""
+    """Vectors (n, 3) at places (n, 3) [m] in space, drawn enlarged by a factor."""
 
     places: np.ndarray
     vectors: np.ndarray
@@ -255,7 +255,7 @@ class Strip:
         limits: Range of the axis.
         height: Height on the screen [px].
         masked: Whether unused stretches are shaded here.
-        bounds: Limits of the robot, drawn across where they are near.
+        bounds: Limits of the robot, drawn if they are near.
     """
 
     label: str
@@ -292,7 +292,7 @@ class View:
 def build_strip(
     label: str, height: int, *curves: Curve, masked: bool = False, bounds: Sequence[float] = (), symmetric: bool = False
 ) -> Strip:
-    """Return a strip whose axis holds all curves, and the bounds that are not far outside."""
+    """Return a strip whose axis contains all curves, and the bounds that are not far outside."""
     low, high = pad_limits(*(c.values for c in curves))
     if symmetric:
         low, high = -max(-low, high), max(-low, high)
@@ -304,7 +304,7 @@ def build_strip(
 
 
 def pad_limits(*arrays: np.ndarray, share: float = 0.06) -> tuple[float, float]:
-    """Return limits that hold all values with some air."""
+    """Return limits that contain all values with a margin."""
     values = np.concatenate([np.ravel(a) for a in arrays])
     values = values[np.isfinite(values)]
     low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)

@@ -58,8 +58,8 @@ class Bar:
     """A bar from 0 to 1, or a stretch of one.
 
     Attributes:
-        share: Where it ends.
-        start: Where it begins.
+        share: Its end.
+        start: Its start.
         tick: A mark on it, such as the training error under the held-out one.
         ink: Its colour's name; empty for the usual one.
     """
@@ -172,7 +172,7 @@ class ResultTable(Element):
     Attributes:
         columns: Its columns.
         rows: Its rows, without headings between them.
-        groups: Rows under headings of their own.
+        groups: Rows under their own headings.
         style: `plain`, `parameters`, `waterfall`, `findings`, `matrix`, `fitted`, ...
         caption: Caption above it.
         most: Largest number of rows on a terminal; 0 for all.
@@ -189,7 +189,7 @@ class ResultTable(Element):
 
     @property
     def all_rows(self) -> list[Row]:
-        """Every row, headings left out."""
+        """Every row, without headings."""
         return [*self.rows, *(row for _, rows in self.groups for row in rows)]
 
 
@@ -200,7 +200,7 @@ def tabulate_things(
     link: Callable[[Any], str] = lambda thing: "",
     **about: Any,
 ) -> ResultTable:
-    """Return a table of one row a thing.
+    """Return a table with one row per thing.
 
     Args:
         things: The objects, one per row.
@@ -214,13 +214,13 @@ def tabulate_things(
 
 
 def tabulate_plainly(rows: Iterable[Sequence[Cell]], *, style: str = "plain", on: On = On.PAGE) -> ResultTable:
-    """Return rows of equal length without heads."""
+    """Return rows of equal length without column headings."""
     rows = list(rows)
     return ResultTable([Column() for _ in rows[0]] if rows else [], [Row(cells) for cells in rows], style=style, on=on)
 
 
 def list_numbers(*titles: str, on: On = On.ALL) -> list[Column]:
-    """Return columns of numbers with these heads."""
+    """Return columns of numbers with these headings."""
     return [Column(title, "number", on=on) for title in titles]
 
 
@@ -239,7 +239,7 @@ def explain(text: str, *, on: On = On.PAGE) -> Text:
 
 @dataclass(frozen=True)
 class Listing(Element):
-    """Sentences under a title; a terminal writes a single one behind it. `code` if they are formulas."""
+    """Sentences under a title; a terminal writes a single one after it. `code` if they are formulas."""
 
     items: Sequence[str]
     title: str = ""
@@ -311,7 +311,7 @@ class Beside(Element):
 
 @dataclass(frozen=True)
 class Group(Element):
-    """Blocks in a box of their own, such as `multiples`."""
+    """Blocks in a separate box, such as `multiples`."""
 
     blocks: Sequence[Element]
     style: str
@@ -319,7 +319,7 @@ class Group(Element):
 
 @dataclass(frozen=True)
 class Folded(Element):
-    """Blocks that are folded away under a summary."""
+    """Blocks that are folded under a summary."""
 
     summary: str
     blocks: Sequence[Element]
@@ -360,12 +360,12 @@ class Chapter:
             return []
         blocks = (
             self.make() if on is On.PAGE else spread_blocks(self.make())
-        )  # only a page has them side by side or folded
+        )  # only a page shows them in columns or folded
         return [block for block in blocks if block.on & on]
 
 
 def spread_blocks(blocks: Iterable[Element]) -> Iterable[Element]:
-    """Give blocks one after the other, those in boxes of others, too."""
+    """Yield blocks in order, including those in boxes of others."""
     for block in blocks:
         if not isinstance(block, Beside | Folded | Group):
             yield block

@@ -45,7 +45,7 @@ class Brief:
 
 
 def _shorten(value: Any) -> str:
-    """Return a value in a word or two: a number or a short text itself, the shape of an array, how many a collection holds."""
+    """Return a value in a word or two: a number or a short text itself, the shape of an array, the size of a collection."""
     if isinstance(value, np.ndarray):
         return f"array {value.shape}"
     if isinstance(value, bool | int | float | None):
@@ -84,5 +84,5 @@ class Shown(Brief):
         return import_module(_RENDER).render_notebook(self)
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return the result's main table, one row a thing, in SI units, units in a column of their own where they differ."""
+        """Return the result's main table, one row per thing, in SI units, with a column of units if they differ."""
         return import_module(_RENDER).tabulate(self)
