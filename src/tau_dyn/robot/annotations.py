@@ -38,7 +38,8 @@ _POINTS = {
     "revolute": ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0)),
     "fixed": ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.1, 0.0)),
 }
-"""Points [m] of a `<constraint>`'s frame, its axis along x, that coincide for each type that points can tie."""
+"""Points [m] in a `<constraint>`'s frame, with its axis along x, that coincide for each type of constraint that points can
+represent."""
 
 
 @dataclass(frozen=True)
@@ -96,8 +97,8 @@ class Mimic:
 
     Attributes:
         joint: The joint that it follows.
-        multiplier: Its share.
-        offset: Its position where the other one is at zero.
+        multiplier: Ratio of its position to that of the other joint.
+        offset: Its position when the other joint is at zero.
     """
 
     joint: str
@@ -191,7 +192,7 @@ _LINK_PAIRS = (("parent_link", "child_link"), ("parentLink", "childLink"), ("par
 
 
 def _refuse_gazebo_loops(root: Element, links: Sequence[str], where: str) -> None:
-    """Reject loops that Gazebo closes outside of the tree: without them, the passive joints would be taken as held still.
+    """Reject loops that Gazebo closes outside of the tree: without them, the passive joints would count as fixed.
 
     Raises:
         InputError: A joint or a plugin of a `<gazebo>` element connects two links of the tree.
@@ -322,7 +323,7 @@ class _Reader:
         return (*found, *(ball for element in self.root.findall("constraint") for ball in self._constraint(element)))
 
     def _constraint(self, element: Element) -> list[BallConstraint]:
-        """Return a proposed `<constraint>` as points that coincide: one of a ball, two of a hinge, three of a rigid tie."""
+        """Return a proposed `<constraint>` as coinciding points: one for a ball, two for a hinge, three for a rigid connection."""
         name, kind = element.get("name", ""), element.get("type", "")
         if kind not in _POINTS:
             known = ", ".join(_POINTS)
@@ -419,7 +420,7 @@ class _Reader:
         return tuple(found.values())
 
     def drive_springs(self) -> tuple[Spring, ...]:
-        """Return the springs between drives and links, one a joint at most."""
+        """Return the springs between drives and links, at most one per joint."""
         found: dict[str, Spring] = {}
         for element in self.ours("drive_spring"):
             name = self.joint_of(element, "joint")

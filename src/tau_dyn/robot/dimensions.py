@@ -23,7 +23,7 @@ from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import PlainLoader, read_yaml
 
 MAX_DIMENSIONS = 1000
-"""Entries of a file of one's own dimensions; the largest table that comes along has about 150."""
+"""Largest number of entries of a file of user-defined dimensions; the largest built-in table has about 150."""
 _FLOAT = "tag:yaml.org,2002:float"
 _NUMBERS = (_FLOAT, "tag:yaml.org,2002:int")
 
@@ -32,7 +32,7 @@ def read_dimensions_file(path: str | Path) -> dict[str, str]:
     """Return a YAML file's entries as names and values, as `--set NAME=VALUE` takes them.
 
     Raises:
-        InputError: The file cannot be read, is no mapping, or holds something else than numbers, texts and lists of them.
+        InputError: The file cannot be read, is not a mapping, or holds values other than numbers, texts and lists of them.
     """
     content = read_yaml(path)
     if not isinstance(content, dict) or not content:
@@ -83,7 +83,7 @@ class TableChanges:
         self._used: set[str] = set()
 
     def apply(self, text: str, where: str) -> str:
-        """Return a table's text with the changes that concern it.
+        """Return a table's text with the changes of its entries.
 
         Raises:
             InputError: A value is of another kind or length than the entry it replaces.
@@ -116,7 +116,7 @@ class TableChanges:
                 raise UnknownName(kind, name, [*arguments, *self._list_below("")], where)
 
     def _list_below(self, parent: str) -> list[str]:
-        """Return the names one level below another; of the top level with an empty one."""
+        """Return the names one level below another name; those of the top level for an empty name."""
         start = f"{parent}." if parent else ""
         return list(dict.fromkeys(start + n[len(start) :].split(".")[0] for n in self.numbers if n.startswith(start)))
 

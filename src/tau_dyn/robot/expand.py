@@ -18,7 +18,7 @@ from xml.dom.minidom import Document
 from xml.parsers.expat import ExpatError
 
 from defusedxml.common import DefusedXmlException
-from defusedxml.expatbuilder import parseString  # as minidom's, without its network modules
+from defusedxml.expatbuilder import parseString  # like minidom's, without its network modules
 
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import format_yaml, read_bytes
@@ -34,7 +34,7 @@ _SWAPPED = {".csv": _LOG, ".parquet": _LOG, ".mcap": _LOG, ".bag": _LOG, ".mat":
 """Hint for a file of another kind that was given as a robot."""
 
 MAX_ROBOT_BYTES = 32 * 2**20
-"""[bytes] Of a robot file; real ones, without their meshes, have less than one MiB."""
+"""Largest size of a robot file [bytes]; real ones, without their meshes, have less than one MiB."""
 
 
 def find_urdf_folder() -> Path:
@@ -75,7 +75,7 @@ def find_robot(robot: str | Path) -> Path:
 
     Raises:
         InputError: The file does not exist or is not a robot file.
-        UnknownName: A bare word that is no name of a robot.
+        UnknownName: A bare word is not the name of a robot.
     """
     path, stock = Path(robot), list_stock_robots()
     try:

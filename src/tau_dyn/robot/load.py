@@ -40,15 +40,15 @@ from tau_dyn.robot.semantics import find_srdf, read_passive_joints
 
 _LOGGER = logging.getLogger(__name__)
 TOOL_NAMES = ("tool", "tool0", "tcp", "hand_tcp", "ee_link", "end_effector", "attachment_site", "flange")
-_MOUNTS = TOOL_NAMES[5:]  # carry tools: the only leaf behind one is the tool
+_MOUNTS = TOOL_NAMES[5:]  # tool flanges: the only leaf behind one is the tool
 """Usual names of a tool frame: those of the built-in robots, of ROS-Industrial, and of common arms.
 
 The first one that exists is used; otherwise the first one with which the name of exactly one frame ends, such as
 `panda_hand_tcp`."""
 FITTED = '<tau_dyn:estimated_inertias xmlns:tau_dyn="urn:tau_dyn"/>'
-"""Element of a robot file whose inertias data gave; they need not be those of bodies."""
+"""Element of a robot file whose inertias were fitted to data; they need not be physically consistent."""
 MAX_DEGREES_OF_FREEDOM = 300
-"""Degrees of freedom of a tree; Pinocchio's preparations for one take a second at 300 and a minute at 1000."""
+"""Largest number of degrees of freedom of a tree; Pinocchio's setup takes a second at 300 and a minute at 1000."""
 
 
 def load_robot(
@@ -81,7 +81,7 @@ def load_robot(
         base: `floating` for a robot that walks; its pose is then measured (`floating_base.py`). The default is `fixed`; any
             other value is the xacro argument of this name, a dimension of some robots.
         contacts: Links that touch the ground at times: `FRAME` for a point foot, `FRAME=RADIUS` [m] for a ball about its origin
-            (by default the one that the link shows), `FRAME=flat` for a flat foot.
+            (by default the sphere of the link's geometry), `FRAME=flat` for a flat foot.
         **arguments: xacro arguments, such as `prototype="l1"`.
 
     Raises:
@@ -123,7 +123,7 @@ def load_robot(
 
 
 def _float(urdf: str, contacts: tuple[str, ...], where: str, *, floating: bool) -> str:
-    """Return URDF text with the base that was asked for."""
+    """Return URDF text with the requested base."""
     if floating:
         read_annotations(urdf, where)
         return free_base(urdf, contacts, where)
@@ -133,7 +133,7 @@ def _float(urdf: str, contacts: tuple[str, ...], where: str, *, floating: bool) 
 
 
 def as_robot(robot: Robot | str | Path) -> Robot:
-    """Return a robot as it is, or load it from its path or short name; see `load_robot`.
+    """Return a robot unchanged, or load it from its path or short name; see `load_robot`.
 
     Raises:
         InputError: It is something else, or its file cannot be used.
@@ -280,7 +280,7 @@ def _build_model(urdf: str, where: str) -> pin.Model:
             "robot_structure",
             f"{where}: its joints have {model.nv} degrees of freedom; a robot has {MAX_DEGREES_OF_FREEDOM} at most",
         )
-    none = model.lowerPositionLimit == model.upperPositionLimit  # a URDF's limits are zero where they are not given
+    none = model.lowerPositionLimit == model.upperPositionLimit  # a URDF's limits are zero if they are not given
     model.lowerPositionLimit = np.where(none, -np.inf, model.lowerPositionLimit)
     model.upperPositionLimit = np.where(none, np.inf, model.upperPositionLimit)
     model.lowerPositionLimit = np.clip(model.lowerPositionLimit, -MAX_NUMBER, MAX_NUMBER)
@@ -440,7 +440,7 @@ def _anchor(model: pin.Model, name: str, link: str, point: np.ndarray, where: st
 
 
 def _links(model: pin.Model, notes: Annotations) -> tuple[LinkInertia, ...]:
-    """Return the links that carry mass; of a file without any inertia all links, starting from zero."""
+    """Return the links with mass; all links, starting from zero, for a file without any inertia."""
     found, bodies = [], range(1, model.njoints)
     for i in [i for i in bodies if model.inertias[i].mass > 0] or bodies:
         link = notes.joints[model.names[i]]

@@ -73,7 +73,7 @@ def add_loops(urdf: str, path: Path) -> str:
 
 
 def _read(path: Path) -> dict[str, list[Any]]:
-    """Return the lists of a loop file, as long as they must be."""
+    """Return the lists of a loop file, after a check of their lengths."""
     content = read_yaml(path)
     found = {key: content.get(key) or [] for key in _KEYS}
     unknown = [key for key in content if key not in _KEYS]
@@ -114,7 +114,7 @@ def _get_child(joint: Element) -> str:
 
 
 def _retype(root: Element, joint: Element, kind: str, path: Path) -> None:
-    """Write a joint as the hinges that it is, one after the other, the last with its name."""
+    """Write a joint as its hinges, one after the other, the last one with its name."""
     axes = "XYZ" if kind == "SPHERICAL" else kind.removeprefix("UJOINT_")
     if kind == "FIXED":
         joint.set("type", "fixed")

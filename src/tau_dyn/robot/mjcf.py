@@ -1,8 +1,8 @@
-"""From MJCF to the URDF that the rest reads: the same bodies and joints, loops, couplings and motors.
+"""Conversion of MJCF to URDF: the same bodies and joints, loops, couplings and motors.
 
-`connect` becomes one ball, `weld` three; `equality/joint` becomes `<mimic>`. `damping`, `frictionloss` and `armature` go where
-URDF has them. What MuJoCo calls passive forces (springs, gravity compensation, fluid) and contacts are no part of a rigid
-robot: they are left out, and those of joints are named. `mjcf_tree.py` has the bodies.
+`connect` becomes one ball, `weld` three; `equality/joint` becomes `<mimic>`. `damping`, `frictionloss` and `armature` become
+the elements of URDF. MuJoCo's passive forces (springs, gravity compensation, fluid) and contacts are not part of a rigid robot:
+they are left out, and those of joints are reported. `mjcf_tree.py` has the bodies.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from tau_dyn.robot.mjcf_file import Item, MjcfFile
 from tau_dyn.robot.mjcf_tree import MjcfTree, Place, format_numbers
 
 _DRAKE, _OURS = "http://drake.mit.edu", "urn:tau_dyn"
-_WELD_POINTS = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]])  # [m] any three off a line
+_WELD_POINTS = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]])  # [m] any three points off a line
 
 
 def convert_mjcf(text: str, path: Path) -> str:
@@ -178,7 +178,7 @@ def _list_points(tree: MjcfTree, item: Item, one: Place, other: Place) -> list[t
 
 
 def _place_home(tree: MjcfTree) -> None:
-    """Write the positions of the first keyframe called home, else of the first with positions, else those of the file."""
+    """Write the positions of the first keyframe called home, or of the first with positions, or those of the file."""
     keys = [tree.file.item(e) for e in tree.file.sections("keyframe") if e.get("qpos")]
     key = next((k for k in keys if k.get("name") == "home"), keys[0] if keys else None)
     count = sum(n for _, n in tree.positions)

@@ -1,4 +1,4 @@
-"""Mass, centre and inertia of MJCF bodies: as the file gives them, or of the shapes that they are drawn with."""
+"""Mass, centre and inertia of MJCF bodies: as given in the file, or computed from their shapes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _DENSITY = 1000.0  # [kg/m^3] MuJoCo's default, of water
 _FLAT = ("plane", "hfield")
 _NO_MASS = 1e-15  # [kg] below which MuJoCo leaves a shape out
 _SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3, "ellipsoid": 3}
-"""How many numbers of `size` each shape has; one less where its ends are given."""
+"""Number of entries of `size` for each shape; one fewer if its ends are given."""
 
 
 class BodyMass(NamedTuple):
@@ -49,7 +49,7 @@ def read_shape(item: Item, frame: Transform) -> Geom:
     given = np.abs(item.numbers("size", "0 0 0"))
     if item.get("fromto") and kind != "sphere":
         ends = item.numbers("fromto", "", 6)
-        along = ends[:3] - ends[3:]  # MuJoCo lays the shape's z axis so
+        along = ends[:3] - ends[3:]  # MuJoCo's direction of the shape's z axis
         length = float(np.linalg.norm(along))
         pose = Transform(turn_z_to(along / length) if length else np.eye(3), (ends[:3] + ends[3:]) / 2)
         given = np.array([*[given[0]] * (n - 1), length / 2])
@@ -90,7 +90,7 @@ def sum_shapes(shapes: Iterable[Geom], groups: tuple[float, float], where: str) 
 
 
 def bound_mass(body: BodyMass, least_mass: float, least_inertia: float, balance: bool) -> BodyMass:
-    """Return a body as the compiler's `boundmass`, `boundinertia` and `balanceinertia` change it."""
+    """Return a body after the compiler's `boundmass`, `boundinertia` and `balanceinertia`."""
     moments, axes = np.linalg.eigh(body.inertia)
     if balance and moments[2] > moments[0] + moments[1]:
         moments = np.full(3, moments.mean())

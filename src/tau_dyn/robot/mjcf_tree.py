@@ -21,7 +21,7 @@ _GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2] Pinocchio's
 _SHOWN_GROUPS = 2  # up to which MuJoCo's viewer shows geoms; collision shapes are usually in group 3
 _ENDLESS = 1e12  # [m] a slide's limit where it has none
 _NOT_READ = ("replicate", "composite", "flexcomp", "attach")
-_ROUNDED = 1e-9  # of a coefficient that is meant to be zero
+_ROUNDED = 1e-9  # tolerance of a coefficient that is meant to be zero
 
 
 class MjcfJoint:
@@ -44,7 +44,7 @@ class MjcfJoint:
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A body or site: its link, its frame in that link's, and in the world where all joints are at their reference."""
+    """A body or site: its link, its frame in that link's frame, and in the world with all joints at their reference."""
 
     link: str
     inside: Transform
@@ -61,7 +61,7 @@ class MjcfTree:
         joints: Hinges and slides by name.
         bodies: Bodies by name, the world included.
         sites: Sites by name.
-        positions: The joints in the order of MuJoCo's `qpos`, and how many numbers each has there.
+        positions: The joints in the order of MuJoCo's `qpos`, with their number of entries.
         said: Sentences about elements that are read with another meaning.
         free: Bodies with a free joint.
         left_out: Elements that are left out, with their joints or bodies.
@@ -119,7 +119,7 @@ class MjcfTree:
         return self.joints[name]
 
     def read_polynomial(self, item: Item) -> tuple[float, float]:
-        """Return constant and slope of one joint's position over another's; further terms are refused."""
+        """Return constant and slope of one joint's position over another's; further terms raise."""
         polynomial = item.numbers("polycoef", "0 1 0 0 0")
         if np.abs(polynomial[2:]).max(initial=0.0) > _ROUNDED:
             raise InputError(
@@ -174,7 +174,7 @@ class MjcfTree:
         last = len([1 for _, kind, *_ in rows if kind])
         for joint, kind, anchor, axis in rows:
             reference = self._read_reference(joint, kind)
-            if not kind:  # held where an equation puts it
+            if not kind:  # fixed at the position of an equation
                 inside = inside @ _move(
                     joint.get("type", "hinge"), anchor, axis, self._locked[joint.get("name")] - reference
                 )
@@ -296,7 +296,7 @@ class MjcfTree:
             self.left_out.setdefault("gravity compensation of bodies", []).append(item.get("name"))
 
     def _draw(self, link: Element, shape: Geom, inside: Transform) -> None:
-        """Add a shape to a link's picture; URDF has no capsule, whose tube alone is drawn, and no ellipsoid."""
+        """Add a shape to a link's visuals; URDF has no capsule, of which only the tube is drawn, and no ellipsoid."""
         group, pose = int(shape.item.number("group", 0.0)), inside @ shape.pose
         mesh = self.file.meshes.get(shape.item.get("mesh")) if shape.kind == "mesh" else None
         if group > _SHOWN_GROUPS or (mesh is None and shape.kind not in ("box", "sphere", "cylinder", "capsule")):
@@ -327,14 +327,14 @@ class MjcfTree:
         self.sites[name] = Place(place.link, place.inside @ pose, place.world @ pose)
 
     def _own(self, name: str) -> str:
-        """Return a link's name that no joint and no other link has."""
+        """Return a unique name of a link, which no joint and no other link has."""
         while name in self._names:
             name = f"{name}_link"
         self._names.add(name)
         return name
 
     def _find_locked(self) -> None:
-        """Find the joints that an equation holds still."""
+        """Find the joints that an equation fixes."""
         held = {
             item.get("joint1"): self.read_polynomial(item)[0]
             for item in self.list_equations("joint")
@@ -364,5 +364,5 @@ def _move(kind: str, anchor: np.ndarray, axis: np.ndarray, position: float) -> T
 
 
 def format_numbers(values: float | Iterable[float]) -> str:
-    """Return numbers as a file holds them, to the last digit."""
+    """Return numbers as text with all digits."""
     return " ".join(repr(float(x)) for x in np.ravel(np.asarray(values, float)))

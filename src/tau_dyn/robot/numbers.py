@@ -1,9 +1,9 @@
-"""The names and numbers of a robot file's tree, checked before anybody reads them.
+"""Checks of the names and numbers of a robot file's tree, before it is read.
 
-The parser that Pinocchio uses drops a whole `<inertial>` that it cannot read and goes on with a link without mass; a NaN passes
-through it into every force. It also reads numbers otherwise than Python does, which takes `8_0` for eighty.
+The parser that Pinocchio uses drops a whole `<inertial>` that it cannot read and continues with a link without mass; a NaN
+passes through it into every force. It also reads numbers differently from Python, which reads `8_0` as eighty.
 
-Rotations as robot files write them, and as Pinocchio's reader takes them: roll, pitch and yaw about fixed axes.
+Rotations in the convention of robot files and of Pinocchio's reader: roll, pitch and yaw about fixed axes.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ MAX_NUMBER = 1e12
 limit."""
 
 MAX_LEVELS = 100
-"""Levels of a robot file; parsers go down one call a level."""
+"""Largest number of levels of a robot file; parsers recurse by one call per level."""
 
 MAX_LINKS = 1000
-"""Links of a robot; Pinocchio's tables grow with their square."""
+"""Largest number of links of a robot; Pinocchio's tables grow with their square."""
 
 
 def check_depth(document: Document, where: str) -> None:
-    """Reject a file with elements so deep inside each other that a parser would use up its stack.
+    """Reject a file with elements nested so deeply that a parser would overflow its stack.
 
     Raises:
         InputError: It names the file.
@@ -45,7 +45,7 @@ def check_depth(document: Document, where: str) -> None:
 
 
 def check_tree(root: Element, where: str) -> None:
-    """Reject a tree too deep or of too many links, as `check_depth` does for a document.
+    """Reject a tree that is too deep or has too many links, as `check_depth` does for a document.
 
     Raises:
         InputError: It names the file.
@@ -69,9 +69,9 @@ def _refuse_deep(root: Any, children: Callable[[Any], Iterable[Any]], where: str
 
 
 def check_parents(root: Element, where: str) -> None:
-    """Reject links with two parents, and links that hang on themselves.
+    """Reject links with two parents, and links that are their own ancestors.
 
-    The parser builds a joint twice for the one and forgets the other, mass and all, in silence.
+    For the first, the parser builds a joint twice; it drops the second, with their mass, without a message.
 
     Raises:
         InputError: It names the link and its joints.
@@ -185,8 +185,8 @@ def check_inertia(mass: float, moments: Iterable[float], place: str) -> None:
         raise InputError("robot_structure", f"{said}, and its mass is zero; give it one")
 
 
-_ROUNDING = 0.01  # what files with two digits may be off by
-_NO_MOMENT = 1e-9  # [kg m^2] that of a grain
+_ROUNDING = 0.01  # error of files with two digits
+_NO_MOMENT = 1e-9  # [kg m^2] inertia of a grain
 
 
 def _check(

@@ -35,7 +35,7 @@ def find_package(name: str, near: Path, given: Mapping[str, str | Path] | None =
 
     Args:
         name: The package's name.
-        near: The robot file that asks for it.
+        near: The robot file that refers to it.
         given: Folders by package name, which are searched first.
 
     Raises:
@@ -58,7 +58,7 @@ def find_package(name: str, near: Path, given: Mapping[str, str | Path] | None =
 
 
 def resolve_mesh(name: str, near: Path, given: Mapping[str, str | Path] | None = None) -> Path | None:
-    """Return the file that a mesh's `filename` means, or None if it is not there.
+    """Return the file that a mesh's `filename` denotes, or None if it does not exist.
 
     Args:
         name: A path, `file://...`, `package://NAME/...` or `model://NAME/...`.
@@ -71,7 +71,7 @@ def resolve_mesh(name: str, near: Path, given: Mapping[str, str | Path] | None =
     elif scheme == "file":
         path = Path(rest)
     else:
-        package, _, inside = rest.lstrip("/").partition("/")  # some files have a slash too many
+        package, _, inside = rest.lstrip("/").partition("/")  # some files have an extra slash
         try:
             path = find_package(package, near, given) / inside
         except InputError:
@@ -129,12 +129,12 @@ def _read_name(manifest: Path) -> str:
 
 
 _PATHS = ("URDF_PATH", "XACRO_PATH", "MJCF_PATH")
-"""Names by which a description's module gives its robot file, the first that it has counts."""
+"""Names of a description module's variables for its robot file; the first existing one is used."""
 
 
 @dataclass(frozen=True)
 class StockRobot:
-    """A robot file and the xacro arguments and package folders that it needs."""
+    """A robot file with the xacro arguments and package folders that it needs."""
 
     path: Path
     arguments: Mapping[str, str] = field(default_factory=dict)
@@ -158,7 +158,7 @@ def list_stock_robots() -> dict[str, Path]:
 
 
 def find_described_robot(name: str) -> StockRobot | None:
-    """Return a robot of `robot_descriptions`, or None if that or its cache does not hold one of this name."""
+    """Return a robot of `robot_descriptions`, or None if the package or its cache has no robot of this name."""
     if not re.fullmatch(r"\w+_description", name):
         return None
     package = PathFinder.find_spec("robot_descriptions")

@@ -31,7 +31,7 @@ NO_DRIVE = "no drive"
 
 @dataclass(frozen=True, eq=False)
 class LinkInertia:
-    """A link's ten inertial numbers, and which of them are parameters of their own.
+    """A link's ten inertial numbers, and which of them are separate parameters.
 
     Attributes:
         link: Link name.
@@ -52,7 +52,7 @@ class LinkInertia:
 
     @property
     def map(self) -> np.ndarray:
-        """`d pi / d own parameters` (10, n_own)."""
+        """Jacobian `d pi / d own parameters` (10, n_own)."""
         matrix = np.zeros((10, len(self.own)))
         matrix[list(self.own), range(len(self.own))] = 1.0
         tied = [k for k in range(10) if k not in self.own]
@@ -85,13 +85,13 @@ class Robot(Shown):
         home: Actuated positions in the middle of the workspace (na,) [m or rad].
         links: The links that carry mass.
         parameters: Nominal parameters, in the regressor's column order.
-        arms: For a simplified Gantry-Tau its three arms, else empty.
-        plate: For a simplified Gantry-Tau its plate link, else ''.
+        arms: The three arms of a simplified Gantry-Tau, otherwise empty.
+        plate: The plate link of a simplified Gantry-Tau, otherwise ''.
         assumed: Statements of the file about assumed values.
-        warnings: Sentences about doubtful input.
+        warnings: Warnings about the input, as sentences.
         springs: Compliant joints; `model` has them locked at zero, `FlexibleModel` frees them.
         drive_springs: Springs between the drives and the links of actuated joints; rigid in `model`, free in `FlexibleModel`.
-        shared_drives: Pairs of joints that the file gives one transmission.
+        shared_drives: Pairs of joints with a common transmission in the file.
         tool: Name of the tool frame; empty if the file has no tool frame.
         drive_scales: Travel [m] of actuated slides per metre that their drives read, 1 for those not named; see `drive_scale`.
         passive_home: Positions of passive joints [m or rad] from which the loops are closed at home, zero for those not named;
@@ -135,7 +135,7 @@ class Robot(Shown):
 
     @property
     def driven(self) -> tuple[str, ...]:
-        """Names of the joints with a motor: the actuated ones but for the coordinates of a floating base."""
+        """Names of the joints with a motor: the actuated ones except the coordinates of a floating base."""
         return self.actuated[len(self.base_coordinates) :]
 
     @property
@@ -244,7 +244,7 @@ class Robot(Shown):
 
     @property
     def carrying_joints(self) -> tuple[str, ...]:
-        """The actuated joints between base and tool; without a tool those before the tree first forks."""
+        """The actuated joints between base and tool; without a tool, those before the first branch of the tree."""
         model = self.model
         if self.tool_frame is not None:
             joint = model.frames[self.tool_frame].parentJoint
@@ -288,7 +288,7 @@ class Robot(Shown):
         return replace(self, parameters=parameters)
 
     def untied(self, names: Iterable[str]) -> Robot:
-        """Return the robot with these inertial numbers as parameters of their own instead of following the mass."""
+        """Return the robot with these inertial numbers as separate parameters instead of following the mass."""
         wanted = {n for n in names if n not in self.parameters}
         possible = {f"{li.link}.{quantity}" for li in self.links for quantity in INERTIAL}
         for name in wanted - possible:
@@ -306,7 +306,7 @@ class Robot(Shown):
         return replace(self, links=tuple(links), parameters=Parameters([*inertial, *rest]))
 
     def model_with(self, parameters: Parameters) -> pin.Model:
-        """Return a Pinocchio model that carries these parameters' masses, inertias and drive inertias."""
+        """Return a Pinocchio model with the masses, inertias and drive inertias of these parameters."""
         model = self.model.copy()
         for link in self.links:
             model.inertias[link.joint_id] = _inertia(link.map @ parameters.select(link.names).values)
@@ -314,7 +314,7 @@ class Robot(Shown):
         for joint, index, scale in zip(self.actuated, self.active_v, self.drive_scale, strict=True):
             armature[index] = (
                 parameters[f"{joint}.armature"].value / scale**2
-            )  # by the joint's travel, as the tree counts
+            )  # per travel of the joint, as in the tree
         model.armature = armature
         return model
 
@@ -356,7 +356,7 @@ def _inertia(pi: np.ndarray) -> pin.Inertia:
         found = pin.Inertia.Zero()
         found.inertia = compute_inertia_matrix(
             pi
-        )  # its constructor takes no negative ones, which an estimate may find, too
+        )  # its constructor rejects negative masses, which an estimate may also find
         return found
     return pin.Inertia.FromDynamicParameters(pi)
 

@@ -11,7 +11,7 @@ from defusedxml.ElementTree import fromstring
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes
 
-_MAX_BYTES = 8 * 2**20  # of an SRDF; real ones have tens of kilobytes
+_MAX_BYTES = 8 * 2**20  # largest size of an SRDF; real ones have tens of kilobytes
 
 
 def find_srdf(robot: Path) -> Path | None:
@@ -24,7 +24,7 @@ def read_passive_joints(path: Path) -> tuple[str, ...]:
     """Return the joints that an SRDF calls passive.
 
     Raises:
-        InputError: The file is not there, no XML, or no SRDF.
+        InputError: The file does not exist, is not XML, or is not an SRDF.
     """
     try:
         root = fromstring(read_bytes(path, _MAX_BYTES), forbid_dtd=True)

@@ -29,7 +29,7 @@ _HEAD_BYTES = 2**16  # part of a Collada file that contains its <asset>
 MESH_SUFFIXES = (".stl", ".obj", ".dae")
 _MAX_LISTED = 3  # names of meshes in one sentence
 MAX_MESH_BYTES = 64 * 2**20
-"""[bytes] Of one mesh's file; a link of a stock arm has up to 2 MiB."""
+"""Largest size of one mesh file [bytes]; a link of a commercial arm has up to 2 MiB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Mesh:
     Attributes:
         path: The file.
         vertices: Vertices (n, 3) [m], scaled as given in the robot file.
-        faces: Indices of vertices (m, 3), counted outwards.
+        faces: Indices of vertices (m, 3), in order about the outward normal.
     """
 
     path: Path
@@ -54,7 +54,7 @@ class Visual:
     Attributes:
         name: Name of its link, with its number among the link's shapes.
         joint: Pinocchio's index of the joint that carries it; 0 for the world.
-        placement: In that joint's frame.
+        placement: Pose in that joint's frame.
         shape: Coal's box, cylinder or sphere, or triangles.
         colour: Red, green, blue and opacity (4,) from 0 to 1; None if the file has no colour.
     """
@@ -79,14 +79,14 @@ def read_visuals(robot: Robot) -> tuple[list[Visual], list[str]]:
     for item in geometry.geometryObjects.tolist():
         shape = meshes[item.name] if item.name in meshes else item.geometry
         if shape is not None:
-            # a copy: its memory goes with the geometry
+            # a copy: its memory is freed with the geometry
             colour = np.array(item.meshColor, float) if item.overrideMaterial else None
             found.append(Visual(item.name, int(item.parentJoint), item.placement.copy(), shape, colour))
     return found, missing
 
 
 def _take_meshes(root: Element, robot: Robot) -> tuple[dict[str, Mesh | None], list[str]]:
-    """Put a small box in each mesh's place, so that Pinocchio opens no file; return the meshes by Pinocchio's names."""
+    """Replace each mesh by a small box, so that Pinocchio opens no file; return the meshes by Pinocchio's names."""
     found: dict[str, Mesh | None] = {}
     missing: list[str] = []
     read: dict[tuple[str, str], Mesh | None] = {}
@@ -110,7 +110,7 @@ def _take_meshes(root: Element, robot: Robot) -> tuple[dict[str, Mesh | None], l
 def _find_file(robot: Robot) -> Path:
     try:
         return find_robot(robot.source)
-    except TauDynError:  # a saved model's robot file may have gone
+    except TauDynError:  # a saved model's robot file may no longer exist
         return Path(robot.source)
 
 

@@ -32,12 +32,12 @@ _LOCK = threading.Lock()  # xacro keeps its state in module globals
 
 _FORBIDDEN = frozenset({"vars", "type", "format", "format_map", "mro"})
 _INSIDES = ("_", "gi_", "ag_", "cr_", "tb_", "f_", "co_", "func_")
-"""How attributes begin that lead into objects, generators, frames, code and functions."""
+"""Prefixes of attributes that give access to objects, generators, frames, code and functions."""
 
-_MAX_EXPONENT = 100  # of a constant power; larger ones only cost time and memory
+_MAX_EXPONENT = 100  # largest exponent of a constant power; larger ones only take time and memory
 
 MAX_CHARACTERS = 10_000
-"""Characters of an expression; the parser of longer ones may use up the stack."""
+"""Largest number of characters of an expression; longer ones may overflow the parser's stack."""
 
 
 def check_expression(text: str) -> None:
@@ -64,7 +64,7 @@ def check_expression(text: str) -> None:
 
 
 def _small(power: ast.expr) -> bool:
-    """Return whether an exponent is written out and small: 9**9**9 would be computed to its last digit."""
+    """Return whether an exponent is a small literal: 9**9**9 would be computed to its last digit."""
     power = power.operand if isinstance(power, ast.UnaryOp) else power
     return isinstance(power, ast.Constant) and isinstance(power.value, int | float) and power.value <= _MAX_EXPONENT
 
@@ -108,15 +108,15 @@ def evaluate_xacro(
 
 @cache
 def _load_restricted_xacro() -> Any:
-    """Return a copy of xacro that evaluates only what `check_expression` lets pass, has no `vars` and `type`, and is silent."""
+    """Return a silent copy of xacro that evaluates only expressions accepted by `check_expression`, without `vars` and `type`."""
     installed = find_spec("xacro")
-    assert installed is not None and installed.origin is not None  # a requirement of this package
+    assert installed is not None and installed.origin is not None  # a dependency of this package
     own = spec_from_file_location(
         _NAME, installed.origin, submodule_search_locations=list(installed.submodule_search_locations or ())
     )
     assert own is not None and own.loader is not None
     xacro: Any = module_from_spec(own)
-    sys.modules[_NAME] = xacro  # where its own modules look for it
+    sys.modules[_NAME] = xacro  # its own modules import it from there
     own.loader.exec_module(xacro)
     substitution: Any = import_module(f"{_NAME}.substitution_args")
     xacro.safe_eval, substitution._eval = _after_check(xacro.safe_eval), _after_check(substitution._eval)
@@ -124,7 +124,7 @@ def _load_restricted_xacro() -> Any:
         setattr(xacro, said, lambda *text, **how: None)
 
     class TableLoader(yaml.SafeLoader):
-        """PyYAML's safe loader with xacro's units, in a table of its own."""
+        """PyYAML's safe loader with xacro's units, in a separate table."""
 
         yaml_constructors = yaml.SafeLoader.yaml_constructors.copy()
 
