@@ -136,7 +136,7 @@ def build_measured_channel(
         pieces: The stretches.
         held: Whether each belongs to a held-out log.
         per_parameter: Usable values that each part needs for each parameter of the baseline.
-        refusal: The missing data, the data that there are, and the experiment to make, where a part has fewer.
+        refusal: The missing data, the data that there are, and the experiment to make, if a part has fewer.
 
     Raises:
         CannotAnswer: Too few measurements for three parts.

@@ -2,8 +2,9 @@
 
 An effect is written once and used three times. Identification asks for its columns at `sign(v)`, feedforward at a smoothed
 sign, and the simulator at +1 and -1, choosing between the two according to whether the plant moves, sticks or reverses. An
-effect's force is what the *actuator* must add: `tau = rigid body + sum of effects`. Amplitudes are parameters, in which it is
-linear; quantities in which it is nonlinear (a Stribeck speed, a ripple's period) are its `settings`, fixed in one instance.
+effect's force is the one that the *actuator* must add: `tau = rigid body + sum of effects`. Amplitudes are parameters, in which
+it is linear; quantities in which it is nonlinear (a Stribeck speed, a ripple's period) are its `settings`, fixed in one
+instance.
 
 Diagnosis tries effects that name a `cause` of the contract, on groups of joints (`groups`) and a grid of settings (`grid`). It
 confirms no amplitude outside of the plausible ranges, which each effect states with their source.

@@ -210,7 +210,7 @@ class ViscousCurvature(JointwiseEffect):
     reference = "Carreau 1972; Bittencourt & Gunnarsson 2012"
     reveals = "constant-speed strokes at ten speeds or more up to the highest, in both directions"
     mistaken_for = ("quadratic_drag", "stribeck", "thermal_drift", "viscous_asymmetry")
-    # Of geared joints at speed all friction is less than the largest force; the viscous part is up to all of it
+    # The friction of geared joints at speed is less than the largest force; the viscous part is up to all of it
     plausible = (PlausibleRange("viscous_curvature", 0.0, 1.0, of="force"),)
     quantities = (("viscous_curvature", "F"),)
     nonnegative = True
@@ -224,7 +224,8 @@ class ViscousCurvature(JointwiseEffect):
     def __init__(self, joints: Iterable[str], units: Iterable[str], *, label: str = "", **settings: float) -> None:
         """Let the friction act on these joints; see `Effect.__init__`.
 
-        A low knee of a power other than zero is no edge: below it the law is the plain power. A parabola's knee is given.
+        A low knee of a power other than zero is not an edge: the law then is the plain power of the speed. A parabola's knee is
+        given.
         """
         super().__init__(joints, units, label=label, **settings)
         if self.settings["power"] == PARABOLA:
@@ -249,7 +250,7 @@ class ViscousCurvature(JointwiseEffect):
         return f"viscous friction of {size} that grows {how} than the speed does above {knee}"
 
     def find_limit_law(self, scene: Scene) -> ViscousCurvature | None:
-        """Return the parabola that levels off at the fast speeds: `-v |v|` and viscous friction, growing over all speeds seen."""
+        """Return the parabola that levels off at the fast speeds: `-v |v|` and viscous friction, growing over all speeds."""
         fast = float(scene.fast[scene.index(self.joints[0])])
         return self.with_settings(power=PARABOLA, knee=fast) if self.settings["power"] < 1 and fast > 0 else None
 

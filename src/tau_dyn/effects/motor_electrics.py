@@ -190,7 +190,7 @@ class WindingHeat(ScaledCurrent):
         return [
             {"back_emf": b, "rated": rated, **({"sensed": 1} if lag is None else {"lag": lag})}
             for lag in lags
-            for b in cls.list_back_emf(scene, joints[0])  # neighbours differ in it, as refinement asks
+            for b in cls.list_back_emf(scene, joints[0])  # neighbours differ in it, as refinement requires
         ]
 
 

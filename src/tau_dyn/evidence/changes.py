@@ -5,7 +5,7 @@ Every log is tested separately: another load in another log is not a change with
     no change    y = X theta + e                              X: all columns of the model, smooth functions of q and v
     step         y = X theta + 1[t > tau] C gamma + e
     drift        y = X theta + r(t) C gamma + e               r: linear, or exponential with a time constant
-    factor       y_k(t > tau) = s (X theta)_k + e             of one joint; s = -1 where its sign turns
+    factor       y_k(t > tau) = s (X theta)_k + e             of one joint; s = -1 if its sign changes
 
 the score statistic of every time tau follows from cumulative products of `C`, of an orthonormal basis `Q` of `X` and of the
 residual, in one pass over the rows (Andrews 1993). A change of sign corrupts the fit itself, so it is tested without a fit: the

@@ -229,10 +229,10 @@ def select_supported(
 ) -> tuple[Claims, Waterfall]:
     """Return the claims that pass all rules for a confirmed cause, and their waterfall.
 
-    A confirmed cause has an amplitude distinct from zero, within its plausible range, with settings away from the edges of
-    the search; it is not absent from the test data, and the error of its own joints falls with the 95 % interval above zero. A
-    joint of several that becomes significantly worse is dropped, and the others are kept. The test data can only reject.
-    Rules about one cause alone come first: a cause that they reject may be the reason why another one becomes worse.
+    A confirmed cause has an amplitude distinct from zero, within its plausible range, with settings away from the edges of the
+    search; it is not absent from the test data, and the error of its own joints decreases with the 95 % interval above zero. A
+    joint of several that becomes significantly worse is dropped, and the others are kept. The test data can only reject. Rules
+    about one cause alone come first: a cause that they reject may be the reason why another one becomes worse.
     """
     while True:
         waterfall = build_waterfall(selection, claims, rng, nominal, physics, inner_parts)

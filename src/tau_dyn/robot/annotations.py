@@ -323,7 +323,7 @@ class _Reader:
         return (*found, *(ball for element in self.root.findall("constraint") for ball in self._constraint(element)))
 
     def _constraint(self, element: Element) -> list[BallConstraint]:
-        """Return a proposed `<constraint>` as coinciding points: one for a ball, two for a hinge, three for a rigid connection."""
+        """Return a proposed `<constraint>` as coinciding points: one for a ball, two for a hinge, three for a rigid one."""
         name, kind = element.get("name", ""), element.get("type", "")
         if kind not in _POINTS:
             known = ", ".join(_POINTS)

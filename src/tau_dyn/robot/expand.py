@@ -139,14 +139,14 @@ def expand(
 @lru_cache(maxsize=32)
 def _expand_own(path: Path, given: tuple[tuple[str, str], ...], written: tuple[tuple[str, int], ...]) -> str:
     """Expand a built-in robot once; it is expanded again only if a file in its folder changes."""
-    del written  # part of what is remembered
+    del written  # part of the cache key
     return _expand(path, dict(given), evaluate=True)[0]
 
 
 def list_dimensions(
     path: Path, arguments: Mapping[str, object] | None = None, *, evaluate: bool = True
 ) -> dict[str, str]:
-    """Return what `--set` takes for a xacro: its arguments with their values, then the entries of the tables that it loads.
+    """Return the names for `--set` of a xacro: its arguments with their values, then the entries of the tables that it loads.
 
     Raises:
         InputError: As `expand`.
@@ -171,11 +171,11 @@ def _expand(
         try:
             return changes.apply(format_yaml(name), str(name))
         except InputError as fault:
-            changes.fault = fault  # xacro wraps it in words of its own
+            changes.fault = fault  # xacro wraps it in another message
             raise
 
     def find(name: str) -> str:
-        """Return the folder of a ROS package that a xacro asks for."""
+        """Return the folder of a ROS package that a xacro requests."""
         try:
             return str(find_package(name, path, packages))
         except InputError as fault:
@@ -206,7 +206,7 @@ def _expand(
         raise fault if str(fault).startswith(str(path)) else InputError(fault.code, f"{path}: {fault}") from fault
     except (RecursionError, MemoryError) as fault:
         raise InputError("file_format", f"{path}: expands without end") from fault
-    except Exception as fault:  # whatever an expression in the file raised: its fault, named below
+    except Exception as fault:  # any exception of an expression in the file: an error of the file, reported below
         if changes.fault is not None:
             raise changes.fault from fault
         reason = " ".join(str(fault).split()) or type(fault).__name__
@@ -217,13 +217,13 @@ def _expand(
 
 
 def _rename_twins(document: Document) -> None:
-    """Give links that are named like a joint a name of their own: parameters are named after both."""
+    """Rename links that have the name of a joint: parameters are named after both."""
     root: Any = document.documentElement
     inside = [node for node in root.childNodes if node.nodeType == node.ELEMENT_NODE]
     names = {tag: {node.getAttribute("name") for node in inside if node.tagName == tag} for tag in ("link", "joint")}
     twins = {name: f"{name}_link" for name in sorted(names["link"] & names["joint"]) if name}
     if not twins or set(twins.values()) & (names["link"] | names["joint"]):
-        return  # none, or refused where the robot is built
+        return  # missing, or rejected when the robot is built
     for node in [node for parent in inside for node in (parent, *parent.getElementsByTagName("*"))]:
         keys = ("name",) if node.tagName == "link" or "body_" in node.tagName else ("link",)
         for key in keys:
@@ -249,7 +249,7 @@ def _list_arguments(document: Document) -> dict[str, str]:
 
 
 def _check_arguments(path: Path, declared: Mapping[str, str], given: Mapping[str, str]) -> None:
-    """Reject a text where a robot of ours has a number, and a negative number where it has a positive one."""
+    """Reject a text in place of a built-in robot's number, and a negative number in place of a positive one."""
     if path not in list_robot_names().values():
         return
     for name, text in given.items():
@@ -262,7 +262,7 @@ def _check_arguments(path: Path, declared: Mapping[str, str], given: Mapping[str
 
 
 def _parse(inp: object, filename: str | None = None) -> Document:
-    """Parse like `xacro.parse`, but without entities, and naming file and line of a fault."""
+    """Parse like `xacro.parse`, but without entities, and with file and line of an error."""
     if isinstance(inp, Document):
         return inp
     name = filename or "robot text"

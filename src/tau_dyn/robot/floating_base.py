@@ -25,7 +25,7 @@ _NAMESPACES = {"drake": "http://drake.mit.edu", "tau_dyn": _OURS}
 BASE_COORDINATES = ("base_x", "base_y", "base_z", "base_yaw", "base_pitch", "base_roll")
 """Joints that place a floating base in the world, in the tree's order."""
 _AXES = ("1 0 0", "0 1 0", "0 0 1", "0 0 1", "0 1 0", "1 0 0")
-_ENDLESS = "1e12"  # [m] a slide's limit where it has none
+_ENDLESS = "1e12"  # [m] limit of a slide without limits
 POINT, FLAT = "point", "flat"
 FREE_BODY = f"{{{_OURS}}}free_body"
 """Element that names the link of an MJCF body with a free joint."""

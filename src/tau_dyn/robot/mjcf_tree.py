@@ -19,7 +19,7 @@ from tau_dyn.robot.numbers import MAX_LINKS, compute_rpy
 
 _GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2] Pinocchio's
 _SHOWN_GROUPS = 2  # up to which MuJoCo's viewer shows geoms; collision shapes are usually in group 3
-_ENDLESS = 1e12  # [m] a slide's limit where it has none
+_ENDLESS = 1e12  # [m] limit of a slide without limits
 _NOT_READ = ("replicate", "composite", "flexcomp", "attach")
 _ROUNDED = 1e-9  # tolerance of a coefficient that is meant to be zero
 

@@ -399,7 +399,7 @@ def run_compiled(
         trials: Values to simulate.
         often: Steps between samples.
         limits: Smallest inertia [kg m^2], straight part of a bent drive law, turn of a stop's contact in a step [rad], and change
-            of speeds at which a step of coupled joints has settled [rad/s].
+            of speeds at which a step of coupled joints has converged [rad/s].
         sweeps: Sweeps over the joints of such a step, at most.
         motion: Whether the links' positions and speeds are appended to the positions.
     """

@@ -140,15 +140,15 @@ def _build_record(model: Model, law: ServoLaw, log: Log, exclude: Sequence[str])
 
 
 MIN_STEP_SHARE = 1e-3
-"""Share of a step by which a command's stamp differs from the even clock: less is the rounding of the stamps."""
+"""Share of a step by which a command's stamp differs from the even clock; smaller differences are rounding of the stamps."""
 
 
 def average_held_commands(stamps: np.ndarray, command: np.ndarray, t: np.ndarray, dt: float) -> np.ndarray:
     """Return the mean command (M, na) over each step of an even clock.
 
     A command is held from its stamp to the next one (zero-order hold). To first order a servo responds to the mean of the
-    commands within a step, wherever in the step a stamp is. Stamps that agree with the clock to their rounding keep their
-    commands.
+    commands within a step, independent of the stamp's position within the step. Stamps that agree with the clock to their
+    rounding keep their commands.
 
     Args:
         stamps: Times of the commands (N,) [s].

@@ -172,7 +172,7 @@ class LoopIdentification(Shown):
         warnings: Warnings, one sentence each.
         seed: Seed of all random steps.
         logs: The training logs.
-        shown: Records and predicted positions to look at, held-out ones first, each with whether it is held out.
+        shown: Records and predicted positions for display, held-out ones first, each with whether it is held out.
         friction: Name of the friction model.
         n_samples: Samples that the fit used.
         condition_number: Condition number of the normalised sensitivities.

@@ -115,7 +115,7 @@ def _find_gap(white: OrderedRows, output: int, start: int) -> tuple[float, float
 
 
 class Step(NamedTuple):
-    """A step at its best time, against noise that was estimated with it.
+    """A step at its best time, tested against noise that was estimated with it.
 
     Attributes:
         time_s: Its time, in the middle between two usable rows [s].
@@ -141,7 +141,7 @@ class Step(NamedTuple):
 def fit_step(data: LogData, hypothesis: Hypothesis, time_s: float) -> Step | None:
     """Return the step with its own noise and time; None if the rows do not show a step.
 
-    Its time is looked for in rows that are weighed but not whitened: an autoregressive filter would smear the step.
+    Its time is searched in rows that are weighted but not whitened: an autoregressive filter would smooth the step.
     """
     factor, stderr = -1.0 if hypothesis.kind == "sign" else 1.0, 0.0
     for _ in range(2):
@@ -163,7 +163,7 @@ def fit_step(data: LogData, hypothesis: Hypothesis, time_s: float) -> Step | Non
 def _estimate_noise_with(
     data: LogData, hypothesis: Hypothesis, time_s: float, factor: float, order: int
 ) -> tuple[Autoregression, ...]:
-    """Return the noise with a change accounted for and without the samples about it; of a factor, of forces before it."""
+    """Return the noise with a change in the model and without the samples about it; for a factor, from forces before it."""
     taken = data.take(hypothesis, time_s, factor).leave_out(time_s)
     return estimate_noise(taken, order)
 
@@ -177,7 +177,7 @@ def _make_step(white: OrderedRows, hypothesis: Hypothesis, time_s: float, factor
 
 
 def _estimate_factor(white: OrderedRows, changed: np.ndarray, factor: float, output: int) -> tuple[float, np.ndarray]:
-    """Return the factor of one output's forces where they changed (R,), and their prediction without it (R, 1)."""
+    """Return the factor of one output's forces at the changed rows (R,), and their prediction without it (R, 1)."""
     f = white.y
     for _ in range(20):
         made = np.where(changed, white.y / factor, white.y)
@@ -189,7 +189,7 @@ def _estimate_factor(white: OrderedRows, changed: np.ndarray, factor: float, out
 
 
 def _find_time(white: OrderedRows, C: np.ndarray, output: int, near: float) -> tuple[float, float]:
-    """Return the best time of a step of columns C (R, d), and its standard error [s]: of equally likely times."""
+    """Return the best time of a step of columns C (R, d), and its standard error [s], that of a uniform 95 % interval."""
     starts = np.unique(np.concatenate([_list_times(white, output), _list_times(white, output, near)]))
     T = _scan_steps(white, C, starts)
     within = starts[T >= T.max() - stats.chi2.ppf(0.95, 1)]
@@ -216,7 +216,7 @@ def _measure_step(white: OrderedRows, C: np.ndarray, time_s: float, stderr: floa
 
 
 def _measure_scatter(block: np.ndarray, scores: np.ndarray, square: float) -> float:
-    """Return the largest scatter of blocks' scores, joined to several lengths, over what white noise gives."""
+    """Return the largest scatter of blocks' scores, joined to several lengths, divided by that of white noise."""
     found = [compute_overdispersion(block, scores, square)]
     for together in BLOCKS_TOGETHER[1:]:
         joined = block // together
