@@ -139,7 +139,7 @@ def _only_unknown(effect: Effect, known: set[str]) -> Effect | None:
 
 
 def log_with_references(logs: Sequence[Log], joints: Sequence[str]) -> Log:
-    """Return the first log that holds the commands of its controller.
+    """Return the first log that holds the references of its controller.
 
     Raises:
         InputError: No log holds them.

@@ -2,7 +2,9 @@
 
 A bristle's state z changes from one side to the other over `distance` after a reversal:
 
-    dz/dt = (v - |v| z) / distance, z = sign(v) (1 - 2 exp(-x / distance)) after a full change, x the travel since the reversal.
+    dz/dt = (v - |v| z) / distance,     z = sign(v) (1 - 2 exp(-x / distance)) after a full change,
+
+with x the travel since the reversal.
 
 This is LuGre's bristle, z in units of its largest deflection and with a stiffness of `lugre / distance`. Its micro-damping,
 which acts over that distance alone, is left out, and its Stribeck curve is the separate effect `stribeck`. With one friction at

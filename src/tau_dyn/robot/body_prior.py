@@ -62,7 +62,7 @@ class BodyPrior:
         """Return the prior of a robot; if its file has no mass, the prior of the drives alone.
 
         The stated error of a mass does not change the prior of the body's centre and inertia, unless it is larger than the
-        default: then they are known no better than the mass.
+        default; then they are known no better than the mass.
 
         Args:
             robot: The robot.
