@@ -3,8 +3,8 @@
     u = R i + k_e v + L di/dt,   tau = k_t i,   tau_log = (k_t / R_cold) u
 
 Servos without a current sensor report voltage or pulse width. A column map converts it to a force, the torque of the cold motor
-at rest (`tau_J: {column: volts, scale: 0.21}`), and keeps it as `voltage_J` or `pwm_J`. If both are proportional, the force
-contains the circuit. Without the scale, masses and friction are known in units of `R / k_t`.
+at rest (`tau_J: {column: volts, scale: 0.21}`), and keeps it as `voltage_J` or `pwm_J`. If force and voltage are proportional,
+the force contains the circuit. Without the scale, masses and friction are known in units of `R / k_t`.
 
 Back-EMF is indistinguishable from viscous friction, so no search finds it. A refit's `force` holds it, so the current's part of
 the force is `tau = force - back_emf v`, with `back_emf = k_t k_e / R` a setting. Inductance leads by `L / R`, as a force logged
