@@ -1,4 +1,4 @@
-"""The error of a simulation, the physical cause that explains it, and how much better the model is with it."""
+"""Errors of a simulation, the physical causes that explain them, and the improvement of the model by them."""
 
 from lazy_loader import attach_stub
 

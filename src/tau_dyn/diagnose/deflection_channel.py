@@ -1,14 +1,14 @@
-r"""The deflection channel: a motor-side encoder, divided by the gear, against an encoder on the load side of the same joint.
+r"""The deflection channel: a motor-side encoder, divided by the gear ratio, minus a load-side encoder of the same joint.
 
     q - q_link = zero + sum of effects' displacements + noise
 
-Each joint of each log has a zero of its own, as encoders are referenced anew. The force that an elastic joint feels is the
-measured one, low-passed like the deflection, and not a model's. It is the motor's: what friction and inertia on the motor's
-side of the spring take of it is not subtracted, as nothing measured here tells where the friction sits; they make a spring look
-stiffer than it is. A compliance is quasi-static: it holds below the resonance of load and spring.
+Each joint of each log has its own zero, as encoders are referenced again. The force on an elastic joint is the measured one,
+low-passed like the deflection, not a model's. It is the motor's force: friction and inertia on the motor's side of the spring
+are not subtracted, as these measurements do not show on which side the friction is; they make a spring look stiffer than it is.
+A compliance is quasi-static: it holds below the resonance of load and spring.
 
-`estimate_stiffness` reads a joint's stiffness with and without what it is mistaken for, by regressions of the same deflections:
-`deflection = zero + compliance tau [+ loop] [+ clock_offset v]`, the loop a play or a hysteresis.
+`estimate_stiffness` estimates a joint's stiffness with and without the causes that resemble it, by regressions of the same
+deflections: `deflection = zero + compliance tau [+ loop] [+ clock_offset v]`, where the loop is a play or a hysteresis.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class ClockOffset(JointwiseDisplacement):
         return [0.5 * (joint.v + joint.signal(LOAD_SPEED))]
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return which side is late, and by how much."""
+        """Return the side that is late, and its delay."""
         p = values["clock_offset"]
         later, sooner = ("load", "motor") if p.value >= 0 else ("motor", "load")
         size = Parameter(p.name, abs(p.value), p.unit, stderr=p.stderr)
@@ -90,7 +90,7 @@ def list_encoder_pairs(robot: Robot, logs: Sequence[Log]) -> tuple[str, ...]:
     """Return the joints with two encoders; the first log decides.
 
     Raises:
-        InputError: There is none, or another log lacks `q_J`, `q_link_J` or `tau_J` of one of them.
+        InputError: There is no such joint, or another log lacks `q_J`, `q_link_J` or `tau_J` of one of them.
     """
     found = tuple(j for j in robot.actuated if f"q_link_{j}" in logs[0].channels)
     if not found:
@@ -169,7 +169,7 @@ def build_deflection_channel(
     """Build the channel.
 
     Args:
-        robot: Names the joints.
+        robot: The robot, for the names of its joints.
         train: Logs with `q_J`, `tau_J` and `q_link_J` of the same joints.
         held: Held-out logs.
         causes: Causes that may be found.
@@ -236,15 +236,15 @@ READINGS: tuple[tuple[type[Effect], ...], ...] = (
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """Stiffness read with some causes.
+    """Stiffness estimated together with some causes.
 
     Attributes:
         causes: Names of the causes of the deflection.
         joints: The joints.
-        stiffness: One over the fitted compliance (m,) [N m/rad or N/m]; infinite where no positive compliance fits.
-        stderr: Its standard error (m,); infinite alike.
+        stiffness: One over the fitted compliance (m,) [N m/rad or N/m]; infinite if no positive compliance fits.
+        stderr: Its standard error (m,); infinite in the same case.
         values: All fitted amplitudes by name.
-        rms: The residual on data that take no other part (m,) [rad or m].
+        rms: The rms residual on data that are not used otherwise (m,) [rad or m].
     """
 
     causes: tuple[str, ...]
@@ -256,7 +256,7 @@ class Reading:
 
 
 def estimate_stiffness(channel: DeflectionChannel, seed: int = 0) -> list[Reading]:
-    """Return all readings; a loop takes, on each joint, the distance of its grid that fits best."""
+    """Return all estimates; for a loop, the distance of its grid that fits best on each joint."""
     return [_reading(channel, causes, np.random.default_rng(seed)) for causes in READINGS]
 
 
@@ -277,7 +277,7 @@ def _reading(channel: DeflectionChannel, causes: Sequence[type[Effect]], rng: np
 
 
 def _on(channel: DeflectionChannel, causes: Sequence[type[Effect]], joint: str) -> list[Effect]:
-    """Return the causes on one joint, at the settings of their grids that leave least on training and confirmation parts."""
+    """Return the causes on one joint, at the grid settings with the least residual on training and confirmation parts."""
     unit = channel.scene.units[channel.scene.index(joint)]
     grids = [cls.grid(channel.scene, (joint,)) or [{}] for cls in causes]
     grids = [grid if cls.refined else grid[:1] for cls, grid in zip(causes, grids, strict=True)]

@@ -1,11 +1,11 @@
-"""Measured logs and a model -> where the simulation is wrong, which physical cause explains it, and the gain.
+"""Measured logs and a model -> errors of the simulation, the physical causes that explain them, and the gain.
 
     baseline refitted -> causes searched on the training part -> confirmed on the next -> gain measured on the last
 
-No part of the data serves two purposes: the search, the confirmation and the gain use different parts, which has a
-veto: what does not predict its part better does not stand. Logs may hold several kinds of measurement: forces, tool positions
-that say more than the encoders do, encoders behind the gear. Forces lead: baseline, waterfall and time view are theirs; a
-finding says which channel it comes from.
+No part of the data serves two purposes: the search, the confirmation and the gain use different parts, and each part can
+reject: a cause that does not predict its part better is not confirmed. Logs may hold several kinds of measurement: forces, tool
+positions with more information than the encoders, encoders behind the gear. Forces take precedence: baseline, waterfall and
+time view are theirs; a finding states its channel.
 """
 
 from __future__ import annotations
@@ -49,19 +49,19 @@ _ENCODERS = 3.0  # standard deviations of the encoders' noise
 
 
 def has_forces(robot: Robot, logs: Sequence[Log]) -> bool:
-    """Tell whether all logs have the force of every actuated joint."""
+    """Return whether all logs have the force of every actuated joint."""
     return all(log.has("tau", robot.actuated) for log in logs)
 
 
 def has_tool(robot: Robot, logs: Sequence[Log]) -> bool:
-    """Tell whether all logs have tool positions that forward kinematics can be held against."""
+    """Return whether all logs have tool positions that can be compared with forward kinematics."""
     return robot.tool_frame is not None and all(set(OUTPUTS) <= set(log.channels) for log in logs)
 
 
 def is_tool_inconsistent(model: Model, logs: Sequence[Log]) -> bool:
-    """Tell whether measured tools are farther from forward kinematics than the encoders' noise puts them.
+    """Return whether measured tool positions differ from forward kinematics by more than the encoders' noise explains.
 
-    Where they are not, there is nothing to explain: the tool was computed from the encoders, or agrees with them.
+    If not, there is no error to explain: the tool position was computed from the encoders, or agrees with them.
     """
     joints = model.robot.actuated
     for log in logs:
@@ -77,11 +77,11 @@ def is_tool_inconsistent(model: Model, logs: Sequence[Log]) -> bool:
 
 _VERDICTS: tuple[Verdict, ...] = ("named", "cannot_tell", "unexplained", "nothing_found")
 _CHOICES: tuple[Choice, ...] = ("neither", "extended", "refitted")
-"""What one channel says counts for all, in this order."""
+"""The verdict of one channel applies to the whole diagnosis, in this order of precedence."""
 
 
 def merge_diagnoses(found: Sequence[Diagnosis]) -> Diagnosis:
-    """Return several channels' diagnoses as one, the first leading."""
+    """Return the diagnoses of several channels as one; the first takes precedence."""
     first, others = found[0], found[1:]
     if not others:
         return first
@@ -126,7 +126,7 @@ def _extended(first: Diagnosis, others: Sequence[Diagnosis]) -> Model:
 
 
 def _only_unknown(effect: Effect, known: set[str]) -> Effect | None:
-    """Return an effect on those of its joints that it does not have in the model yet; the first channel's values stay."""
+    """Return an effect on the joints on which the model does not have it yet; the first channel's values are kept."""
     if not known & set(effect.parameters.names):
         return effect
     joints = [
@@ -139,10 +139,10 @@ def _only_unknown(effect: Effect, known: set[str]) -> Effect | None:
 
 
 def log_with_references(logs: Sequence[Log], joints: Sequence[str]) -> Log:
-    """Return the first log that says what its controller was asked for.
+    """Return the first log that holds the references of its controller.
 
     Raises:
-        InputError: None does.
+        InputError: No log holds them.
     """
     for log in logs:
         if log.has("q_ref", joints):
@@ -157,11 +157,11 @@ def log_with_references(logs: Sequence[Log], joints: Sequence[str]) -> Log:
 def add_simulation(
     diagnosis: Diagnosis, logs: Sequence[Log], law: CascadeLaw, progress: Callable[[str], None] = lambda step: None
 ) -> Diagnosis:
-    """Return a diagnosis with `simulation`: how far the closed loop is from a log before and after the extension.
+    """Return a diagnosis with `simulation`: the error of the closed loop against a log, before and after the extension.
 
     Args:
-        diagnosis: Gives both models.
-        logs: Training logs; the first with `q_ref_J` is driven again.
+        diagnosis: The diagnosis, with both models.
+        logs: Training logs; the first with `q_ref_J` is simulated.
         law: The rig's own controller.
         progress: Called with a word for each step.
 
@@ -173,7 +173,7 @@ def add_simulation(
     done: dict[str, Replay] = {}
     for when, model in models.items():
         if when == "after" and len(model.effects) == len(diagnosis.model.effects):
-            done[when] = done["before"]  # nothing was added
+            done[when] = done["before"]  # no cause was added
             continue
         done[when] = replay(model, log, law, progress=lambda share: progress(f"simulating {100 * share:.0f} %"))
     doubts = tuple(dict.fromkeys([*diagnosis.warnings, *(w for run in done.values() for w in run.warnings)]))
@@ -181,7 +181,7 @@ def add_simulation(
     return replace(diagnosis, simulation=simulation, warnings=doubts)
 
 
-@threadpool_limits.wrap(limits=1)  # its matrices are many and narrow: more threads only wait for each other
+@threadpool_limits.wrap(limits=1)  # many narrow matrices: more threads only wait for each other
 def diagnose(
     robot: Robot | Identification,
     logs: Log | Recording | Iterable[Log | Recording] = (),
@@ -194,14 +194,14 @@ def diagnose(
     seed: int = 0,
     progress: Progress = lambda step: None,
 ) -> Diagnosis:
-    """Find out what a simulation gets wrong, and why.
+    """Find the errors of a simulation and their physical causes.
 
     Args:
-        robot: The robot, or an identification, whose model and logs are then taken.
+        robot: The robot, or an identification, whose model and logs are then used.
         logs: Logs to train on, with `q_J` and `tau_J` of every actuated joint.
-        holdout: Logs for confirming and for measuring the gain; without any, blocks of the logs are set aside (60/20/20).
+        holdout: Logs for confirming and for measuring the gain; by default, blocks of the logs are held out (60/20/20).
         model: The baseline: `rigid`, `symmetric`, `asymmetric`, a model file, or a model.
-        choices: What is fixed, free, bounded or measured beforehand.
+        choices: Parameters that are fixed, free, bounded or measured beforehand.
         preparation: Filters and masks; by default chosen from the training logs.
         exclude: Log columns whose nonzero samples are left out.
         seed: Seed of noise draws and intervals.
@@ -209,7 +209,7 @@ def diagnose(
 
     Raises:
         InputError: A log, the model or a choice is at fault.
-        CannotAnswer: The logs determine nothing, or are too short for three parts.
+        CannotAnswer: The logs determine no parameter, or are too short for three parts.
     """
     if isinstance(robot, Identification):
         logs, model, robot = logs or robot.logs, robot.model.with_parameters(robot.nominal), robot.model.robot
@@ -249,7 +249,7 @@ def diagnose(
             except CannotAnswer as fault:
                 if not found:
                     raise
-                more = f"tool positions were not looked at: {fault.missing}"  # forces have their answer
+                more = f"tool positions were not looked at: {fault.missing}"  # forces are diagnosed
                 found[0] = replace(found[0], warnings=(*found[0].warnings, more))
         if links:
             found.append(
@@ -263,14 +263,14 @@ def diagnose(
 
 
 def _with_provenance(found: Diagnosis, train: Sequence[Log], held: Sequence[Log]) -> Diagnosis:
-    """Return a diagnosis both models of which name their logs."""
+    """Return a diagnosis whose two models name their logs."""
     source = list_provenance(train, held, found.seed)
     model, extended = (replace(one, provenance=source) for one in (found.model, found.extended_model))
     return replace(found, model=model, extended_model=extended)
 
 
 def load_into_memory(logs: Sequence[Log | Recording]) -> list[Log]:
-    """Return logs that are in memory; a search looks at all of a log again and again."""
+    """Return logs in memory; a search reads all samples of a log repeatedly."""
     odd = [log.name for log in logs if isinstance(log, Recording)]
     if odd:
         raise InputError(
@@ -280,7 +280,7 @@ def load_into_memory(logs: Sequence[Log | Recording]) -> list[Log]:
 
 
 def _forces_missed(found: Diagnosis, robot: Robot, logs: Sequence[Log]) -> Diagnosis:
-    """Say so where forces were not looked at, since some are not there."""
+    """Add a warning if forces were not diagnosed because some of them are missing."""
     if has_forces(robot, logs):
         return found
     missing = [f"tau_{j}" for j in robot.actuated if not all(log.has("tau", [j]) for log in logs)]

@@ -1,9 +1,9 @@
-"""The force baseline fitted to logs, ready to be doubted: filters chosen, parameters refitted within physics, data judged.
+"""The force baseline fitted to logs: filters chosen, parameters refitted with physical consistency, data checked.
 
-Positions are smoothed before columns are made of them (`smooth_cutoffs`): what lies above is noise to a spectrum in time. An
-encoder's periodic error, or a motion that cogging shakes, may lie there: a few micrometres spread over many frequencies by the
-changing speed, but at one line over the place. Such positions are not smoothed: the error would be gone from speeds and
-accelerations before anybody looks for it, and the force of a true motion would pass for an error.
+Positions are smoothed before columns are made of them (`smooth_cutoffs`): above the cutoff, a spectrum in time shows only
+noise. An encoder's periodic error, or a motion disturbed by cogging, may be located there: a few micrometres, spread over many
+frequencies by the changing speed, but at one line in a spectrum over the position. Such positions are not smoothed: the error
+would be removed from speeds and accelerations before the search, and the force of a true motion would be mistaken for an error.
 """
 
 from __future__ import annotations
@@ -68,11 +68,12 @@ Progress = Callable[[str], None]
 _WAVE_DRAWS = 8  # of white noise, by which the level of a peak is set
 _MIN_BAND_RATIO = 1.25  # least ratio of the upper to the lower end of the band
 _HIGHPASS_ORDER = 8
-"""Of the high-pass, run forwards and backwards: it leaves 1e-8 of an amplitude at a third of its cutoff."""
+"""Order of the high-pass, run forwards and backwards: it leaves 1e-8 of an amplitude at a third of its cutoff."""
 _EDGE_FACTOR = 3
-"""Edges left out, in those of the usual low-pass, which rings for a third of the time."""
+"""Edges left out, as a multiple of those of the usual low-pass, which rings for a third of the time."""
 _WAVE_LEVEL = 1e-6
-"""Of any wave at all in positions that hold noise alone; true ones exceed it by far, since positions are hardly noisy."""
+"""Significance level of any wave in positions that hold noise alone; true waves exceed its threshold by far, since positions
+are hardly noisy."""
 
 
 AnyChannel = TypeVar("AnyChannel", bound=Channel)
@@ -86,7 +87,7 @@ def name_load(logs: Sequence[str]) -> str:
 
 
 def compute_load_columns(model: Model, prepared: Sequence[PreparedSegment]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return columns (n, na, 10) of a body fixed to the end link, masked as forces are and without masks, of each piece."""
+    """Return columns (n, na, 10) of a body fixed to the end link, of each piece, with the masks of forces and without masks."""
     body = find_end_link(model.robot)
     assert body is not None  # a robot with several ends has no loads
     ten = [f"{body.link}.{quantity}" for quantity in INERTIAL]
@@ -101,7 +102,7 @@ def compute_load_columns(model: Model, prepared: Sequence[PreparedSegment]) -> l
 
 @dataclass(frozen=True, eq=False)
 class FittedBaseline:
-    """A baseline fitted to logs, ready to be doubted.
+    """A baseline fitted to logs, ready for the search of causes.
 
     Attributes:
         nominal: The baseline before the fit.
@@ -113,7 +114,7 @@ class FittedBaseline:
         clear_hz: Low-pass of the forces that springs carry [Hz].
         held: Whether a piece belongs to a held-out log.
         pieces: Even stretches of the training logs, then of the held-out logs, as they were logged.
-        warnings: Doubts about the logs.
+        warnings: Warnings about the logs.
         loads: Bodies that some logs carry at the tool beyond the others.
     """
 
@@ -136,7 +137,7 @@ class FittedBaseline:
         return [NoiseOnlyLog.of(piece, self.model, log, smooth) for piece, log, smooth in pieces]
 
     def noise_only(self, rng: np.random.Generator) -> Channel:
-        """Return the channel of logs that hold nothing but the baseline and encoder noise."""
+        """Return the channel of logs that hold only the baseline and encoder noise."""
         logs = [log.draw(rng) for log in self._noise_only_logs]
         prepared = prepare_segments(self.nominal, logs, self.preparation, self.smooth_hz)
         regression = build_force_regression(self.nominal, prepared, self.preparation)
@@ -204,7 +205,7 @@ def fit_baseline(
         progress: Called with a word for each step.
 
     Raises:
-        CannotAnswer: The logs determine nothing, or are too short for three parts; its warnings list the doubts about them.
+        CannotAnswer: The logs determine no parameter, or are too short for three parts; its warnings describe the problems.
     """
     robot, logs = model.robot, name_apart([*train_logs, *held_logs])
     train_logs, held_logs = logs[: len(train_logs)], logs[len(train_logs) :]
@@ -232,10 +233,10 @@ def fit_baseline(
 
 
 def _data_warnings(case: FittedBaseline, train: Sequence[Log]) -> list[str]:
-    """Return warnings where the training part holds little independent information for the baseline, or joints mostly rest.
+    """Return warnings if the training part holds little independent information for the baseline, or joints mostly rest.
 
     Raises:
-        CannotAnswer: It holds less than the baseline has unknowns: causes would be fitted to what the baseline fits by chance.
+        CannotAnswer: It holds fewer independent values than the baseline has unknowns: causes would be fitted to chance errors.
     """
     channel = case.channel
     masks = channel.masks(TRAIN)
@@ -263,9 +264,10 @@ def _fitted(
     clear_hz: float,
     progress: Progress,
 ) -> FittedBaseline:
-    """Return the baseline fitted to pieces whose positions are low-passed at `smooth_hz` [Hz], each at its own.
+    """Return the baseline fitted to pieces whose positions are low-passed at `smooth_hz` [Hz], one cutoff per piece.
 
-    Of the two preparations, the first is that of the search, the second that of an identification, for which errors are reported.
+    The first of the two preparations is that of the search, the second that of an identification, for which errors are
+    reported.
     """
     preparation, reported = preparations
     progress("columns")
@@ -289,9 +291,9 @@ def _fitted(
 
 
 def detect_position_periodicity(channel: ForceChannel, smooth_hz: Sequence[float]) -> bool:
-    """Tell whether positions above `smooth_hz` [Hz] repeat with the place, up to the frequencies that forces are looked at.
+    """Return whether positions above `smooth_hz` [Hz] repeat with the position, up to the highest frequency of forces.
 
-    Pieces in which these lie hardly above it are passed over: what little is between is in the columns anyway.
+    Pieces in which that frequency is hardly above `smooth_hz` are skipped: their columns contain nearly the whole band.
     """
     rng = np.random.default_rng(0)
     return any(_wave(channel, joint, smooth_hz, rng) for joint in channel.scene.joints)
@@ -310,7 +312,7 @@ def _wave(channel: ForceChannel, joint: str, smooth_hz: Sequence[float], rng: np
         inner = slice(edge := _EDGE_FACTOR * compute_edge_samples(smooth, rate), len(above) - edge)
         if inner.stop - inner.start < 2 * edge:
             continue  # a log that begins in motion makes the filter ring there
-        size = np.std(above[inner], axis=0)  # what is left of the motion counts as noise
+        size = np.std(above[inner], axis=0)  # the remaining motion counts as noise
         few = decimate(above / np.where(size > 0, size, 1.0), piece.factor)
         far = slice(-(-inner.start // piece.factor), inner.stop // piece.factor)
         pieces.append((motion.q[far, j], motion.v[far, j], few[far]))
@@ -327,9 +329,9 @@ def _wave(channel: ForceChannel, joint: str, smooth_hz: Sequence[float], rng: np
 
 
 def _between(x: np.ndarray, low_hz: float, high_hz: float, rate_hz: float) -> np.ndarray:
-    """Return what of columns (N, n) lies between two frequencies [Hz].
+    """Return columns (N, n) band-passed between two frequencies [Hz].
 
-    The high-pass is steep: encoders resolve a millionth of the motion, which has its power an octave or two below.
+    The high-pass is steep: encoders resolve a millionth of the motion, whose power is an octave or two below.
     """
     steep = butter(_HIGHPASS_ORDER, low_hz, "highpass", fs=rate_hz, output="sos")
     return np.asarray(sosfiltfilt(steep, lowpass(x, high_hz, rate_hz), axis=0))

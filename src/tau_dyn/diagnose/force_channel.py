@@ -1,4 +1,4 @@
-"""The force channel: measured actuated forces against those that the model predicts from measured motion."""
+"""The force channel: measured actuated forces compared with the model's prediction from measured motion."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ VALUES_PER_COMBINATION = 3
 MIN_VALUES = 10
 """Usable values of each output in the other parts, which are compared with a fit and fit little: an rms is known to 22 %."""
 _INDEPENDENT = 1e-9
-"""Smallest eigenvalue of the unit columns' Gram matrix that counts as another combination."""
+"""Smallest eigenvalue of the unit columns' Gram matrix that counts as a separate combination."""
 
 _SIGNALS = ("inertia", "weight_gradient", "load", "reducer_torque", "passive")
 
@@ -57,7 +57,7 @@ class ForceChannel(Channel):
         prepared: The stretches at their logs' own rate.
         thinned: Their motions at the regression's rate, for quick scans.
         preparation: Filters and masks.
-        reported: The same logs, filtered and masked as an identification does; None where too few test data are left of them.
+        reported: The same logs, filtered and masked as an identification does; None if too few test data are left of them.
     """
 
     prepared: tuple[PreparedSegment, ...]
@@ -78,7 +78,7 @@ class ForceChannel(Channel):
         return self.prepared[run].columns_of(effects)
 
     def whole_columns(self, effect: Effect) -> list[np.ndarray]:
-        """Return the columns without any sample left out, for drawing."""
+        """Return the columns of all samples, for drawing."""
         return [piece.columns(effect.columns(piece.motion), gated=False) for piece in self.prepared]
 
     def scan(self, effects: Sequence[Effect], whiten: Whitener, both: np.ndarray) -> np.ndarray | None:
@@ -110,7 +110,7 @@ class ForceChannel(Channel):
         return found
 
     def _begins(self) -> list[float]:
-        """Return when each run's log begins [s] if the logs follow one another."""
+        """Return the start time of each run's log [s] if the logs follow one another."""
         ends: dict[str, float] = {}
         for piece in self.prepared:
             ends[piece.log.name] = max(ends.get(piece.log.name, 0.0), float(piece.log.t[-1]))
@@ -167,7 +167,7 @@ def build_force_channel(
         clear_hz: Low-pass of the forces that springs carry [Hz]; see `clear_cutoff`.
 
     Raises:
-        CannotAnswer: Too little is left of the data for three parts.
+        CannotAnswer: The remaining data are too few for three parts.
     """
     prepared, regression, timing, refitted = _complete(model, prepared, held, regression, clear_hz)
     gap_s = compute_border_gap_s(preparation.force_cutoff_hz, prepared[0].log.rate_hz)
@@ -205,7 +205,7 @@ def build_force_channel(
 
 
 def _with_refits(scene: Scene, refitted: RefittedModel) -> Scene:
-    """Return the scene with the joints' zeros that fit best, and the largest forces beside a saturation."""
+    """Return the scene with the joints' zeros that fit best, and the largest forces of a fit with a saturation."""
     zeros = dict(zip(scene.joints, map(float, refitted.zeros), strict=True))
     largest = dict(zip(scene.joints, map(float, refitted.largest), strict=True))
     scales = {joint: {**own, "delivered": largest[joint]} for joint, own in scene.scales.items()}
@@ -236,8 +236,8 @@ def add_reported_channel(
 ) -> ForceChannel:
     """Return a channel with the same logs as an identification filters and masks them.
 
-    Causes act far above the motion's own band, so a search looks at a wider one, in which noise is a larger share of the force.
-    Errors are reported in the identification's band. Every sample belongs to the part in which the search has it.
+    Causes act far above the motion's own band, so a search uses a wider one, in which noise is a larger share of the force.
+    Errors are reported in the identification's band. Every sample belongs to the same part as in the search.
 
     Args:
         channel: The channel in which causes are searched.
@@ -250,7 +250,7 @@ def add_reported_channel(
     prepared = prepare_segments(model, pieces, preparation, [None] * len(pieces))
     runs = build_force_regression(model, prepared, preparation).runs
     nominal, trained = channel.parameters.values, tuple(not out for out in held)
-    searched = RefittedModel(model, nominal, channel.prepared, channel.runs, trained)  # effects get their values there
+    searched = RefittedModel(model, nominal, channel.prepared, channel.runs, trained)  # effects are estimated there
     refitted = RefittedModel(model, nominal, prepared, runs, trained, searched)
     prepared = tuple(_with_signals(piece, refitted, k, clear_hz, None) for k, piece in enumerate(prepared))
     parts = []
@@ -292,7 +292,7 @@ def _with_timing(
     held: Sequence[bool],
     regression: Regression,
 ) -> tuple[Sequence[PreparedSegment], Regression, ForceTiming | None]:
-    """Return the pieces and their regression without the samples into which late forces bring a reversal, and the timing."""
+    """Return the pieces and their regression without the samples to which late forces shift a reversal, and the timing."""
     trained = [run for run, out in zip(regression.runs, held, strict=True) if not out]
     timing = find_timing(trained, model.parameters.values, np.asarray(regression.parameters.free))
     if timing is None:
@@ -319,9 +319,9 @@ def _with_signals(
     clear_hz: float,
     timing: ForceTiming | None,
 ) -> PreparedSegment:
-    """Return the piece at a place whose motion has a fitted model's signals: loads, inertia, turn of gravity, predicted forces.
+    """Return a piece with a fitted model's signals in its motion: loads, inertia, turn of gravity, predicted forces.
 
-    `force` is that of the values with the recording's timing taken out; see `preparation.py`.
+    `force` is computed at the values after correction of the recording's timing; see `preparation.py`.
     """
     model = refitted.model
     m, t, mechanism = piece.motion, piece.log.t, model.mechanism
@@ -358,7 +358,7 @@ def _with_signals(
             "force": predict,
             DELIVERED: lambda: signals["force"] + predict_change(refitted.delivered),
             "damping": lambda: model.damping(find_whole()),
-            "clear_hz": lambda: np.full(len(t), clear_hz),  # a mode in the clear band passes no noise on
+            "clear_hz": lambda: np.full(len(t), clear_hz),  # a mode in the clear band does not amplify noise
         }
     )
     arrays = {key: _lay_samples_last(getattr(m, key)) for key in ("q", "v", "a", "sign")}

@@ -1,13 +1,14 @@
-r"""A body that one log carries at the tool and the others, or a model file, do not: its mass and its place, log by log.
+r"""A body at the tool in one log that the others, or a model file, do not have: its mass and its position, log by log.
 
     tau = Y theta + [k = log] Y_end pi_k,     k = 1 .. K logs
 
-`pi_k` are the ten inertial numbers of a rigid body fixed to the end link. Nothing fixes the absolute load, so the logs
-that carry least are the reference. Values that were identified before, with standard errors, are a reference as well: they enter
-as one more campaign on the motion of the training logs, with the forces that follow from them. A model file keeps no covariance.
-Its combinations count as known as well as these logs know them, or worse in proportion to its standard errors. Campaigns are
-compared with the causes found accounted for (`evidence/campaigns.py`). A load that is accepted joins the baseline in its logs,
-and causes are searched again. Friction may follow the load, so a change of friction in the same log does not count against it.
+`pi_k` are the ten inertial numbers of a rigid body fixed to the end link. The absolute load is not identifiable, so the logs
+with the least load are the reference. Previously identified values, with standard errors, are a reference as well: they enter
+as one more campaign on the motion of the training logs, with the forces computed from them. A model file keeps no covariance.
+Its combinations are assumed to be known as well as these logs determine them, or worse in proportion to its standard errors.
+Campaigns are compared with the causes found in the model (`evidence/campaigns.py`). An accepted load is added to the baseline
+in its logs, and causes are searched again. Friction may follow the load, so a change of friction in the same log does not count
+against it.
 Reference: Khalil, Gautier & Lemoine 2007 (identification of the payload inertial parameters).
 """
 
@@ -59,7 +60,7 @@ from tau_dyn.results import format_list
 from tau_dyn.robot import LinkInertia, Robot
 
 REFERENCE = "\0model file"
-"""Name of the campaign that stands for a model file's values; no file has this name."""
+"""Name of the campaign that represents the values of a model file; no file has this name."""
 _FRICTION = "friction"
 
 
@@ -70,7 +71,7 @@ class Load:
     Attributes:
         logs: Names of the logs.
         values: Its ten inertial numbers in the end link's joint frame (10,).
-        known: Whether the values are taken as they are, because a model file is the only reference.
+        known: Whether the values are fixed, because a model file is the only reference.
         finding: The finding that reports it.
     """
 
@@ -104,8 +105,8 @@ def find_loads(
     Args:
         case: The fitted baseline.
         channel: Its channel.
-        effects: Causes found, which are accounted for.
-        rng: For intervals.
+        effects: Causes found, which are included.
+        rng: Random numbers for intervals.
     """
     body, logs = find_end_link(case.nominal.robot), list(dict.fromkeys(run.name for run in channel.runs))
     identified = is_identified(case.nominal.robot, case.nominal.parameters)
@@ -155,7 +156,7 @@ class _Study:
     def of(
         cls, case: FittedBaseline, channel: Channel, effects: Sequence[Effect], body: LinkInertia, identified: bool
     ) -> _Study:
-        """Build the campaigns: noise is that of a fit in which every log has all of its own."""
+        """Build the campaigns: the noise is that of a fit with separate changes of all kinds in every log."""
         robot = case.nominal.robot
         regression = build_extended_regression(channel, effects)
         gap_s = compute_border_gap_s(case.preparation.force_cutoff_hz, case.channel.prepared[0].log.rate_hz)
@@ -173,7 +174,7 @@ class _Study:
     def _add_reference(self, trusted: Parameters, own: Estimate) -> _Study:
         """Return the study with the campaign of a model file: its bodies' forces on these motions, and noise of the same kind.
 
-        Its noise is the residual of these logs in reverse, which has the same spectrum and knows nothing of the motion.
+        Its noise is the residual of these logs in reverse, which has the same spectrum and is unrelated to the motion.
         """
         names = self.channel.parameters.names
         bodies = np.isin(names, self.robot.parameters.names)
@@ -194,14 +195,14 @@ class _Study:
         return replace(self, channel=channel, kinds=kinds)
 
     def account_for(self, changes: Sequence[CampaignChange]) -> _Study:
-        """Return the study with changes of other kinds accounted for."""
+        """Return the study with changes of other kinds included."""
         channel = self.channel
         for one in changes:
             channel = channel.with_change(one, self.kinds[one.kind])
         return replace(self, channel=channel)
 
     def carry(self, groups: Sequence[Sequence[str]]) -> CampaignChannel:
-        """Return the channel in which every group of logs carries a body of its own."""
+        """Return the channel in which every group of logs carries its own body."""
         channel = self.channel
         for logs in groups:
             columns = channel.mask_columns(self.kinds[PAYLOAD], logs)
@@ -209,20 +210,20 @@ class _Study:
         return channel
 
     def regression(self, groups: Sequence[Sequence[str]], *parts: int) -> Regression:
-        """Return the regression of some parts in which every group of logs carries a body of its own."""
+        """Return the regression of some parts in which every group of logs carries its own body."""
         channel = self.carry(groups)
         runs = tuple(replace(r, usable=m) for r, m in zip(channel.runs, channel.masks(*parts), strict=True))
         return Regression(channel.parameters, channel.outputs, channel.units, runs)
 
     def solve(self, groups: Sequence[Sequence[str]], *parts: int) -> Estimate:
-        """Return the joint estimate, links and loads kept physical."""
+        """Return the joint estimate, with physically consistent links and loads."""
         physics = constrain_loads(self.physics, [name_load(group) for group in groups])
         return solve_with_fallback(self.regression(groups, *parts), physics)
 
     def choose_reference(
         self, groups: list[tuple[str, ...]], logs: Sequence[str], identified: bool
     ) -> list[tuple[str, ...]]:
-        """Return the groups of logs that carry more than the lightest group does, which becomes the reference."""
+        """Return the groups of logs that carry more than the lightest group, which becomes the reference."""
         if identified:
             return groups
         regression = self.regression(groups, TRAIN, TEST)
@@ -276,7 +277,7 @@ class _Study:
         return Load(group, values, known, finding)
 
     def _doubt(self, found: BodyEstimate, change: CampaignChange, gain: Gain, confirmed: bool) -> str:
-        """Return why a body is only suspected, in words; empty where it is not."""
+        """Return the reason why a body is only suspected, in words; empty if it is confirmed."""
         mass = float(found.values[0])
         total = float(sum(link.nominal[0] for link in self.robot.links))
         away = float(np.linalg.norm(np.where(found.known[1:4], found.values[1:4], 0.0)))
@@ -337,7 +338,7 @@ def _measure_reach(robot: Robot) -> float:
 
 
 def build_body_parameters(found: BodyEstimate, frame: str) -> list[Parameter]:
-    """Return mass and the coordinates of the centre that the data determine."""
+    """Return the mass, and the coordinates of the centre that the data determine."""
     stderr = float(found.stderr[0]) if found.known[0] else None
     rows = [Parameter("payload.mass", float(found.values[0]), "kg", stderr=stderr, origin=PAYLOAD)]
     for k, axis in enumerate("xyz", start=1):
@@ -352,7 +353,7 @@ def build_body_parameters(found: BodyEstimate, frame: str) -> list[Parameter]:
 
 
 def format_load_sentence(found: BodyEstimate, frame: str, group: Sequence[str], unloaded: Sequence[str]) -> str:
-    """Return the mass and the place of a body that a group of logs carries, and the logs that do not, in a sentence."""
+    """Return a sentence with the mass and position of a body that a group of logs carries, and the logs without it."""
     rows = [
         (axis, float(found.values[k]), float(found.stderr[k]))
         for k, axis in enumerate("xyz", start=1)
@@ -385,7 +386,7 @@ class LoadReport:
 
     Attributes:
         findings: A finding for each load.
-        without: Errors of the refit without loads; None where none was accepted.
+        without: Errors of the refit without loads; None if no load was accepted.
     """
 
     findings: tuple[Finding, ...] = ()

@@ -1,7 +1,6 @@
-"""Channels of a place that the encoders do not read: the tool's, or the load side's of a joint.
+"""Channels of a position that the encoders do not measure: that of the tool, or of the load side of a joint.
 
-Both are a measured place minus the place by the encoders; both sides pass the same low-pass, unless they are poses
-held still.
+Both are a measured position minus its prediction from the encoders; both pass the same low-pass, unless they are static poses.
 """
 
 from __future__ import annotations
@@ -26,19 +25,19 @@ from tau_dyn.log import Log, compute_edge_samples, decimate, lowpass_and_decimat
 from tau_dyn.parameters import Parameters
 
 POSE_S = 1.0
-"""Poses held still count one by one, whatever the time between them: each stands for this long [s]."""
+"""Static poses count one by one, independent of the time between them: each represents this duration [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredSegment:
-    """One even stretch of a log, or its poses held still, with a position that the encoders do not read.
+    """One even stretch of a log, or its static poses, with a position that the encoders do not measure.
 
     Attributes:
         log: The stretch.
-        motion: Motion of the encoders at the log's rate, with what effects feel.
+        motion: Motion of the encoders at the log's rate, with the signals that effects need.
         measured: Measured outputs (N, m) [m or rad].
         predicted: The same from the encoders alone (N, m).
-        usable: Samples that count (N,) or (N, m).
+        usable: Samples that are used (N,) or (N, m).
         cutoff_hz: Low-pass on both sides [Hz]; None for poses.
         factor: Decimation.
     """
@@ -52,7 +51,7 @@ class MeasuredSegment:
     factor: int
 
     def passed(self, x: np.ndarray) -> np.ndarray:
-        """Return an array (N, ...) as the fit sees it (n, ...): low-passed and decimated."""
+        """Return an array (N, ...) in the form used by the fit (n, ...): low-passed and decimated."""
         if self.cutoff_hz is None:
             return x
         return lowpass_and_decimate(x, self.cutoff_hz, self.log.rate_hz, self.factor)
@@ -74,7 +73,7 @@ class MeasuredSegment:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredChannel(Channel):
-    """Measured places minus the places by the encoders.
+    """Measured positions minus their prediction from the encoders.
 
     Attributes:
         pieces: The stretches.
@@ -89,7 +88,7 @@ Kind = TypeVar("Kind", bound=MeasuredChannel)
 def cut_stretches(
     train: Sequence[Log], held: Sequence[Log], cut: Callable[[Log], Sequence[Log]]
 ) -> tuple[list[Log], list[bool]]:
-    """Return the stretches of the training logs, then of the held-out logs, and whether each is of a held-out one."""
+    """Return the stretches of the training logs, then of the held-out logs, and whether each belongs to a held-out log."""
     found = [(piece, out) for logs, out in ((train, False), (held, True)) for log in logs for piece in cut(log)]
     return [piece for piece, _ in found], [out for _, out in found]
 
@@ -137,7 +136,7 @@ def build_measured_channel(
         pieces: The stretches.
         held: Whether each belongs to a held-out log.
         per_parameter: Usable values that each part needs for each parameter of the baseline.
-        refusal: The missing data, the data that there are, and the experiment to make, where a part has fewer.
+        refusal: The missing data, the data that there are, and the experiment to make, if a part has fewer.
 
     Raises:
         CannotAnswer: Too few measurements for three parts.
@@ -152,15 +151,15 @@ def build_measured_channel(
 
 
 def find_directions(v: np.ndarray, threshold: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the direction of the last motion that was surely one, and from when on there was any.
+    """Return the direction of the last certain motion, and the samples from which on there was one.
 
     Args:
         v: Speeds (N, na) [m/s or rad/s].
-        threshold: Slowest speed with a sure sign (na,).
+        threshold: Slowest speed with a certain sign (na,).
 
     Returns:
-        -1 or 1 (N, na), before a joint's first sure motion that of the first, 0 where there is none at all; and whether a
-        sure motion came before (N, na).
+        -1 or 1 (N, na), before a joint's first certain motion the direction of that motion, 0 if it never moves; and whether a
+        certain motion came before (N, na).
     """
     sides = [_direction(v[:, k], float(threshold[k])) for k in range(v.shape[1])]
     return np.column_stack([sign for sign, _ in sides]), np.column_stack([known for _, known in sides])
@@ -175,7 +174,7 @@ def _direction(v: np.ndarray, threshold: float) -> tuple[np.ndarray, np.ndarray]
 
 
 def mask_filter_edges(mask: np.ndarray, cutoff_hz: float, rate_hz: float, factor: int) -> np.ndarray:
-    """Return which samples count, without those at both ends that the low-pass disturbs.
+    """Return the mask of usable samples, without those at both ends that the low-pass disturbs.
 
     Args:
         mask: Samples (N, ...) at the log's rate.

@@ -1,10 +1,10 @@
 r"""A log that holds the fitted baseline and encoder noise alone, for the parametric bootstrap of encoder noise.
 
-A drive that closes its loop through a noisy encoder answers with force: `tau = ... + sum_l H_l n(t - l dt)`. Far above the
-motion's band the measured position is noise and the force is the answer to it, so `H` is fitted there, by least squares on
-high-passed signals; how many lags there are, or none, is chosen by BIC. A few taps, as a discrete cascade has them, are the same
-below that band, at the log's own rate. That a loop follows slow noise, so that less of it is read, is not computed; nor is the
-aliasing of a log that holds every fourth sample.
+A drive that closes its loop through a noisy encoder responds with force: `tau = ... + sum_l H_l n(t - l dt)`. Far above the
+motion's band the measured position is noise and the force is the response to it, so `H` is fitted there, by least squares on
+high-passed signals; the number of lags, which may be zero, is chosen by BIC. A few taps, as a discrete cascade has them, are
+the same below that band, at the log's own rate. Two effects are not computed: a loop follows slow noise, so that less of it is
+read, and a log of every fourth sample is aliased.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ from tau_dyn.log import Log, estimate_encoder_noise, estimate_quantisation_step,
 from tau_dyn.model import Model
 
 REACHES = (0, 1, 2, 4)
-"""How many samples before and after the noise its answers are looked for in."""
+"""Number of samples before and after the noise in which its response is searched."""
 _MIN_CUTOFF_SHARE = 0.25
-"""Cutoff that is used at least, as a share of the rate: above it motion through a mass has died out (`log/band.py`). Just above
-the motion's band a tenth of the noise still is motion, which answers by its mass, and many taps followed that."""
+"""Lowest cutoff, as a share of the rate: above it the response of masses to motion has decayed (`log/band.py`). Just above the
+motion's band a tenth of the noise is still motion, whose force is due to the mass, and many taps would fit that."""
 _MAX_CUTOFF_SHARE = 0.35
-"""Cutoff above which too little is left to fit to, as a share of the rate; motion that reaches beyond is small there."""
+"""Cutoff above which too little signal remains for a fit, as a share of the rate; motion beyond is small."""
 
 
 def estimate_feedback_taps(log: Log, joints: Sequence[str], cutoff_hz: float) -> np.ndarray:
-    """Return the answer of forces to encoder noise `H` (2 L + 1, na, na) [N/m ..] at lags -L to L; empty where there is none.
+    """Return the response of forces to encoder noise `H` (2 L + 1, na, na) [N/m ..] at lags -L to L; empty without feedback.
 
     Args:
         log: Positions and forces at the rate at which they were logged.
         joints: The actuated joints.
-        cutoff_hz: Up to here positions hold motion [Hz].
+        cutoff_hz: Frequency up to which positions hold motion [Hz].
     """
     q, rate_hz = log.joint("q", joints), log.rate_hz
     na, above = q.shape[1], min(max(cutoff_hz, _MIN_CUTOFF_SHARE * rate_hz), _MAX_CUTOFF_SHARE * rate_hz)
     noise, answer = (x - lowpass(x, above, rate_hz) for x in (q, log.joint("tau", joints)))
     inner = slice(max(REACHES), -max(REACHES))
     answer = answer[inner]
-    free = len(answer) * (1 - 2 * above / rate_hz)  # so many samples are free of each other in the band that is left
+    free = len(answer) * (1 - 2 * above / rate_hz)  # number of independent samples in the remaining band
     best, chosen = _bic(answer, 0, free), np.zeros((0, na, na))
     for reach in REACHES:
         rows = np.concatenate([x[inner] for x in _lagged(noise, reach)], axis=1)
@@ -53,7 +53,7 @@ def estimate_feedback_taps(log: Log, joints: Sequence[str], cutoff_hz: float) ->
 
 
 def apply_feedback_taps(taps: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """Return the forces (N, na) with which these taps answer encoder noise (N, na)."""
+    """Return the forces (N, na) by which these taps respond to encoder noise (N, na)."""
     if not len(taps):
         return np.zeros_like(noise)
     return sum((x @ H for x, H in zip(_lagged(noise, len(taps) // 2), taps, strict=True)), np.zeros_like(noise))
@@ -66,7 +66,7 @@ def _lagged(noise: np.ndarray, reach: int) -> list[np.ndarray]:
 
 
 def _bic(e: np.ndarray, freedom: int, samples: float) -> float:
-    """Return the criterion of all outputs together, each with `freedom` coefficients and so many free samples."""
+    """Return the criterion of all outputs together, each with `freedom` coefficients and this number of independent samples."""
     power = np.maximum(np.mean(e**2, axis=0), 1e-300)
     return float(samples * np.sum(np.log(power)) + e.shape[1] * freedom * np.log(samples))
 
@@ -77,7 +77,7 @@ _WIDEST_CUTOFF_SHARE = 0.45
 
 @dataclass(frozen=True, eq=False)
 class NoiseOnlyLog:
-    """A log as the fitted baseline would have made it: what of it is the same in every draw of encoder noise.
+    """A log as the fitted baseline would have made it: the part that is the same in every draw of encoder noise.
 
     Attributes:
         log: The piece at the rate of the fit.
@@ -85,9 +85,9 @@ class NoiseOnlyLog:
         q: Positions without noise (n, na) [m or rad], at the rate of the fit.
         force: The baseline's forces along them (n, na) [N or N m].
         read: Positions without noise at the rate of the recording (N, na), and its clock.
-        step: Steps to which positions are rounded (na,); 0 for none.
-        level: Noise before the rounding (na,), which follows the place.
-        taps: How forces answer to encoder noise; see `estimate_feedback_taps`.
+        step: Steps to which positions are rounded (na,); 0 without rounding.
+        level: Noise before the rounding (na,), which depends on the position of the joint.
+        taps: Response of forces to encoder noise; see `estimate_feedback_taps`.
         cutoff_hz: Low-pass by which the recording was thinned [Hz].
     """
 
@@ -112,7 +112,7 @@ class NoiseOnlyLog:
             smooth_hz: Low-pass of its positions [Hz].
         """
         m, cutoff, joints = piece.motion, piece.preparation.position_cutoff_hz, piece.motion.joints
-        whole = model.motion(m.q, m.v, m.a, np.sign(m.v), t=m.t, signals=m.signals)  # the made motion's own reversals
+        whole = model.motion(m.q, m.v, m.a, np.sign(m.v), t=m.t, signals=m.signals)  # reversals of the synthetic motion
         force = model.columns(whole) @ model.parameters.values
         rate, q = piece.log.rate_hz, m.q
         if smooth_hz >= cutoff:
@@ -126,11 +126,11 @@ class NoiseOnlyLog:
         return cls(piece.log, joints, q, force, read, step, level, taps, cutoff)
 
     def draw(self, rng: np.random.Generator) -> Log:
-        """Return the log with fresh encoder noise, and in the forces only the answer to it."""
+        """Return the log with new encoder noise, and its response in the forces."""
         smooth = self.read.joint("q", self.joints)
         q = smooth + self.level * rng.standard_normal(smooth.shape)
         grid = np.where(self.step > 0, self.step, 1.0)
-        phase = rng.uniform(size=len(grid))  # on the logs' own grid a rest would be exact
+        phase = rng.uniform(size=len(grid))  # on the grid of the logs a rest would be exact
         noise = np.where(self.step > 0, (np.round(q / grid + phase) - phase) * grid, q) - smooth
         seen = decimate_log(self._build(self.read, noise, apply_feedback_taps(self.taps, noise)), self.cutoff_hz)
         forces = self.force + seen.joint("tau", self.joints)

@@ -1,9 +1,8 @@
-"""Refitted parameters against their trusted nominal values: what only corrects a number of the robot file.
+"""Refitted parameters compared with their trusted nominal values: differences that only correct a number of the robot file.
 
-A payload, a wrong link mass or a drive gain vanish in the baseline's refit, so no residual shows them; they show as masses
-that differ from the nominal beyond both uncertainties. All masses off by one factor is what a wrong motor constant does. Of
-robots whose bodies have more than a mass, all base parameters are compared together (`payload.py`): there one payload changes
-many numbers.
+A payload, a wrong link mass or a drive gain vanish in the baseline's refit, so no residual shows them; they show as masses that
+differ from the nominal beyond both uncertainties. A wrong motor constant changes all masses by one factor. If the bodies of a
+robot have more than a mass, all base parameters are compared together (`payload.py`): there one payload changes many numbers.
 """
 
 from __future__ import annotations
@@ -29,9 +28,10 @@ from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import Robot, compute_nominal_stderr
 
 MAX_GAIN_RANGE = (0.5, 2.0)
-"""Factor of a logged force: a torque constant is off by 30 % at most, a wrong pulley or winding by two; more is a unit."""
+"""Factor of a logged force: a torque constant is wrong by 30 % at most, a wrong pulley or winding by a factor of two; a larger
+factor is a wrong unit."""
 MIN_GAIN_ERROR = 5e-3
-"""Deviation of a logged force's factor from one that no torque sensor or torque constant is calibrated to."""
+"""Deviation of a logged force's factor from one that is below the calibration error of torque sensors and torque constants."""
 MAX_MASS_SHARE = 2.0
 """Payload or mass over the mass of all bodies; no robot carries more than twice its own mass."""
 
@@ -39,28 +39,28 @@ MAX_MASS_SHARE = 2.0
 def find_parameter_changes(
     model: Model, nominal: Parameters, fitted: Parameters, estimate: Estimate | None = None
 ) -> list[Finding]:
-    """Return a finding for each mass that is off its nominal value, or one for what explains all that is off.
+    """Return a finding for each mass that differs from its nominal value, or one finding that explains all differences.
 
     Args:
-        model: Names links and units.
+        model: The model, for names of links and units.
         nominal: Values before the fit.
         fitted: Values of the final model, with standard errors.
-        estimate: The fit behind them, of which base parameters are compared; None to compare masses alone.
+        estimate: The fit behind them, whose base parameters are compared; None to compare masses alone.
     """
     found = _find_deviations(model, nominal, fitted, estimate)
     return [_suspect_implausible(finding, model.robot, nominal) for finding in found]
 
 
 MIN_DIFFERENCE_SHARE = 0.01
-"""Share of the measured force by which the bodies' forces differ from the file's for a reader to be told; a torque is measured to
-about one per cent."""
+"""Least difference between the bodies' forces and the file's that is reported, as a share of the measured force; a torque is
+measured to about one per cent."""
 
 
 def describe_body_difference(model: Model, nominal: Parameters, estimate: Estimate | None) -> str:
-    """Return that the bodies differ from their trusted values and no single cause explains it; empty where that is not so.
+    """Return that the bodies differ from their trusted values and no single cause explains it; empty if that is not so.
 
     Args:
-        model: Names links.
+        model: The model, for names of links.
         nominal: Trusted values.
         estimate: The fit whose base parameters are compared.
     """
@@ -102,14 +102,14 @@ def _find_deviations(model: Model, nominal: Parameters, fitted: Parameters, esti
 
 
 def _suspect_place(finding: Finding, places: Sequence[str]) -> Finding:
-    """Return a finding as `suspected` where the same cause at another link or joint explains as much."""
+    """Return a finding as `suspected` if the same cause at another link or joint explains as much."""
     if not places:
         return finding
     return replace(finding, status="suspected", why_not_confirmed=f"{' or '.join(places)} instead explains as much")
 
 
 def _suspect_small(finding: Finding, share: float) -> Finding:
-    """Return a finding as `suspected` where nominal bodies need the same force, to what filters leave of exact data."""
+    """Return a finding as `suspected` if nominal bodies need the same force, within the errors of filters on exact data."""
     if share >= MIN_FORCE_SHARE:
         return finding
     why = f"nominal bodies need the same force to {100 * share:.1g} %, and no force is measured to that"
@@ -117,7 +117,7 @@ def _suspect_small(finding: Finding, share: float) -> Finding:
 
 
 def _suspect_implausible(finding: Finding, robot: Robot, nominal: Parameters) -> Finding:
-    """Return a finding as `suspected` where no machine has its first amplitude, or none is known so well, with the reason."""
+    """Return a finding as `suspected`, with the reason, if its first amplitude is implausible, or is a gain too close to one."""
     first = finding.parameters[0]
     total = sum(nominal[f"{link.link}.mass"].value for link in robot.links if f"{link.link}.mass" in nominal)
     ranges = {"drive_gain": MAX_GAIN_RANGE, "force_scale": MAX_GAIN_RANGE}
@@ -134,7 +134,7 @@ def _suspect_implausible(finding: Finding, robot: Robot, nominal: Parameters) ->
 
 
 def _is_known(p: Parameter, nominal: Parameters) -> bool:
-    """Tell whether a fitted parameter is a mass that has a nominal value and is known well enough to be held against it."""
+    """Return whether a fitted parameter is a mass with a nominal value and is known well enough for a comparison."""
     if not p.free or p.stderr is None or not p.name.endswith(".mass") or p.name not in nominal:
         return False
     return nominal[p.name].value > 0 and p.stderr < 0.3 * abs(p.value)
@@ -147,7 +147,7 @@ def _combined_stderr(p: Parameter, n: Parameter) -> float:
 
 
 def _is_common_factor(ratio: np.ndarray, sigma: np.ndarray) -> bool:
-    """Tell whether one factor, far from one, explains all masses, of which these are ratios to the nominal ones (n,)."""
+    """Return whether one factor, far from one, explains all masses, of which these are ratios to the nominal ones (n,)."""
     weight = 1 / sigma**2
     mean = float(ratio @ weight / weight.sum())
     scatter = float(np.sum(((ratio - mean) / sigma) ** 2))
@@ -174,7 +174,7 @@ def _build_gain_finding(ratio: np.ndarray, sigma: np.ndarray, p_value: float) ->
 
 
 def _build_finding(model: Model, found: Explanation, score: float) -> Finding:
-    """Return the finding of one explanation of all that is off."""
+    """Return the finding of one explanation of all differences."""
     robot, stderr = model.robot, float(np.sqrt(found.cov[0, 0]))
     if found.cause == "payload":
         link = find_end_link(robot)
@@ -196,7 +196,7 @@ def _build_finding(model: Model, found: Explanation, score: float) -> Finding:
         owner = found.place or "drive"
         share = float(found.amplitudes[0])
         factor, name = 1 + share, "gain"
-        if found.cause == "force_scale":  # its share is of the force as it was logged
+        if found.cause == "force_scale":  # its share refers to the logged force
             factor, stderr, name = 1 / (1 - share), stderr / (1 - share) ** 2, "force_scale"
         parameters = (Parameter(f"{owner}.{name}", factor, "1", stderr=stderr, origin="bodies over nominal bodies"),)
         whose = f"logged force of {owner} is" if found.place else "logged forces are"

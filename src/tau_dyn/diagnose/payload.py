@@ -2,13 +2,13 @@ r"""The change of base parameters by one body at the end of a robot, one force s
 
     d = beta - E pi_0 ~ N(B x, S),     S = cov(beta) + E P E'
 
-with `beta` the base parameters of a fit, `E` the combinations they are, `pi_0` trusted values with covariance `P` (of an accurate
+with `beta` the base parameters of a fit, `E` their combinations, `pi_0` trusted values with covariance `P` (of an accurate
 robot file; `robot/body_prior.py`). Each explanation has columns `B` and amplitudes `x`, estimated by generalised least squares
 (Aitken 1936):
 
 - payload: the ten inertial numbers of a rigid body fixed to the last link, about that link's joint frame;
 - link mass: one link's mass, alone or with its whole inertia in proportion;
-- force scale: the force of one joint times a factor, as far as a refit of the log's own motion takes it for bodies;
+- force scale: the force of one joint times a factor, as far as a refit of the log's own motion attributes it to bodies;
 - drive gain: all forces times one factor, so all base parameters.
 
 The explanation with the least misfit for its number of amplitudes is taken, if it explains nearly all of the difference, and is
@@ -32,25 +32,26 @@ from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import INERTIAL, NOT_GIVEN, BodyPrior, LinkInertia, Robot, find_end_link
 
 MIN_EXPLAINED_SHARE = 0.95
-"""Or share of the squared difference that it explains: errors of the fit that its covariance does not know of remain."""
+"""Or share of the squared difference that it explains: errors of the fit beyond its covariance remain."""
 PENALTY = 4.0
-"""Price of an amplitude in units of twice the log-likelihood: chance at 5 %."""
+"""Penalty of an amplitude in units of twice the log-likelihood: a significance level of 5 %."""
 MIN_AMPLITUDE_Z = 4.0
-"""Standard errors that the mass or the factor must be off."""
+"""Least deviation of the mass or the factor, in standard errors."""
 _RELATIVE_RANK = 1e-9
-"""Part of the largest eigenvalue of an explanation's information below which a direction of its amplitudes is not seen."""
+"""Part of the largest eigenvalue of an explanation's information below which a direction of its amplitudes is not
+identifiable."""
 _MIN_EFFECT = 1e-8
-"""Size of a column, relative to the largest parameter's, below which it is rounding: what hides behind a drive's inertia."""
+"""Size of a column, relative to the largest parameter's, below which it is rounding: a column absorbed by a drive's inertia."""
 
 
 @dataclass(frozen=True, eq=False)
 class BaseParameterDifference:
-    """A fit's inertial base parameters against trusted values.
+    """Inertial base parameters of a fit compared with trusted values.
 
     Attributes:
         d: Fit minus trusted (r,).
         S: Covariance of both together, if the robot file is accurate (r, r).
-        S_rough: The same if it is rough (r, r): every body is off as a whole; None if the trusted values were identified.
+        S_rough: The same if it is rough (r, r): every body is wrong as a whole; None if the trusted values were identified.
         combine: Base parameters per unit of each parameter (r, p).
         names: Parameters' names (p,).
         estimate: The fit.
@@ -74,7 +75,7 @@ class BaseParameterDifference:
 
     @property
     def rough_misfit(self) -> float:
-        """Misfit of a rough file, comparable with `misfit`: both are twice a negative log-likelihood less the same constant."""
+        """Misfit of a rough file, comparable with `misfit`: both are twice a negative log-likelihood minus the same constant."""
         if self.S_rough is None:
             return np.inf
         rough, accurate = np.linalg.slogdet(self.S_rough)[1], np.linalg.slogdet(self.S)[1]
@@ -82,7 +83,7 @@ class BaseParameterDifference:
 
     @property
     def force_share(self) -> float:
-        """Rms of the force that it makes next to a refit of all other parameters, over the measured force's."""
+        """Rms of the force of the difference after a refit of all other parameters, divided by that of the measured force."""
         estimate = self.estimate
         triangle = np.linalg.qr(estimate.stack_rows(), mode="r")
         least = np.linalg.lstsq(solve_triangular(triangle, self.select.T, trans=1).T, self.d)[0]
@@ -99,11 +100,11 @@ class Explanation:
         place: Link or joint, empty for all.
         amplitudes: Estimates (k,).
         cov: Their covariance (k, k); infinite variances if the data do not determine them.
-        left: Squared difference that it leaves.
-        rank: Amplitudes that count.
-        dof: Base parameters less those.
-        p: Chance of it, as one of all that were tried.
-        twins: Causes that explain as much.
+        left: Remaining squared difference.
+        rank: Number of identifiable amplitudes.
+        dof: Number of base parameters minus `rank`.
+        p: p-value of the explained part, corrected for the number of causes tried.
+        twins: Indistinguishable causes, which explain as much.
         places: Other links or joints at which the same cause explains as much.
     """
 
@@ -120,7 +121,7 @@ class Explanation:
 
     @property
     def penalised(self) -> float:
-        """Misfit and price."""
+        """Misfit plus penalty."""
         return self.left + PENALTY * self.rank
 
     def p_value(self, whole: float, n_tried: int) -> float:
@@ -136,11 +137,11 @@ class Explanation:
 
 
 def compare_with_trusted(robot: Robot, trusted: Parameters, estimate: Estimate) -> BaseParameterDifference:
-    """Return how far the bodies of a fit are from trusted values.
+    """Return the difference between the bodies of a fit and their trusted values.
 
-    Where the trusted values were themselves identified (they have standard errors), their combinations are taken to be known as
-    well as this fit's: a model file keeps no covariance. Else they are known as `BodyPrior` states, and what a drive's inertia
-    that nobody gave can make of them is left out.
+    If the trusted values were themselves identified (they have standard errors), their combinations are assumed to be known as
+    well as this fit's: a model file keeps no covariance. Otherwise their uncertainty is that of `BodyPrior`, and directions
+    that an unknown drive inertia can explain are left out.
     """
     base = estimate.base
     bodies = {n for n in robot.parameters.names if not n.endswith(".gravity_mass")}
@@ -174,7 +175,7 @@ def compare_with_trusted(robot: Robot, trusted: Parameters, estimate: Estimate) 
 
 
 def find_explanation(robot: Robot, difference: BaseParameterDifference) -> Explanation | None:
-    """Return the significant explanation of a difference, with its twins; None where none explains it."""
+    """Return the significant explanation of a difference, with its indistinguishable causes, or None."""
     if not len(difference.d):
         return None
     found = [one for row in _candidates(robot, difference) if (one := _fit(difference, *row)) is not None]
@@ -188,7 +189,7 @@ def find_explanation(robot: Robot, difference: BaseParameterDifference) -> Expla
     places = dict.fromkeys(one.place for one in alike if one.cause == best.cause and one.place != best.place)
     from_file = all(difference.trusted[n].stderr is None for n in robot.parameters.names if n in difference.trusted)
     heavier = best.cause == "payload" and from_file
-    extra = ["link_mass"] if heavier or best.cause == "drive_gain" else []  # all masses off alike are all forces off
+    extra = ["link_mass"] if heavier or best.cause == "drive_gain" else []  # a factor of all masses scales all forces
     twins = tuple(dict.fromkeys([*near, *extra]))
     return replace(best, p=best.p_value(whole, len(found)), twins=twins, places=tuple(places))
 
@@ -221,7 +222,7 @@ def differentiate_body_properties(
 
 
 class BodyEstimate(NamedTuple):
-    """A body's properties as `compute_body_properties` lists them (10,), their standard errors, and which are known at all."""
+    """A body's properties as `compute_body_properties` lists them (10,), their standard errors, and which are known."""
 
     values: np.ndarray
     stderr: np.ndarray
@@ -245,7 +246,7 @@ def estimate_body(estimate: Estimate, names: Sequence[str], R: np.ndarray, p: np
         if name in place:
             rows[k, place[name]] = 1.0
     seen = np.array([name in place for name in names])
-    at = pi if pi[0] > 0 else np.array([1.0, *np.zeros(9)])  # without a mass there is no centre to speak of
+    at = pi if pi[0] > 0 else np.array([1.0, *np.zeros(9)])  # without a mass the centre is undefined
     values, slopes = compute_body_properties(at, R, p), differentiate_body_properties(at, R, p)
     needs = np.abs(slopes) > 1e-12 * np.abs(slopes).max()
     known = ~np.any(needs & ~seen, axis=1) & np.array([True, *[bool(pi[0] > 0)] * 9])
@@ -259,7 +260,7 @@ _UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
 
 
 def list_load_names(label: str = "") -> tuple[str, ...]:
-    """Return the names of the ten inertial numbers of a body at the tool, of the logs with a label or of all."""
+    """Return the names of the ten inertial numbers of a body at the tool, for the logs with a label or for all."""
     return tuple(f"{PAYLOAD}.{quantity}{f'@{label}' if label else ''}" for quantity in INERTIAL)
 
 
@@ -267,8 +268,8 @@ def build_load_parameters(label: str = "", known: np.ndarray | None = None) -> P
     """Return the ten inertial numbers of a body at the tool, in the joint frame of its link.
 
     Args:
-        label: The logs that carry it; empty for all that the columns are given for.
-        known: Values that are taken as they are (10,); None for a free body of nonnegative mass.
+        label: The logs that carry it; empty for all logs with columns.
+        known: Fixed values (10,); None for a free body of nonnegative mass.
     """
     values = np.zeros(len(INERTIAL)) if known is None else known
     rows = zip(list_load_names(label), values, _UNITS, INERTIAL, strict=True)
@@ -292,7 +293,7 @@ def constrain_loads(physics: PhysicalConstraints, labels: Sequence[str]) -> Phys
 
 
 def find_payload_frame(robot: Robot, body: LinkInertia) -> tuple[str, np.ndarray, np.ndarray]:
-    """Return the frame in which a payload is given, its axes and origin in the joint's: the tool where it is on the link."""
+    """Return the frame in which a payload is given, as axes and origin in the joint's frame: the tool if it is on the link."""
     tool = robot.tool_frame
     if tool is not None and int(robot.model.frames[tool].parentJoint) == body.joint_id:
         at = robot.model.frames[tool].placement
@@ -343,7 +344,7 @@ def _candidates(robot: Robot, difference: BaseParameterDifference) -> list[tuple
 
 
 def _values(parameters: Parameters, names: Sequence[str]) -> np.ndarray:
-    """Return parameters' values (p,), zero for those of effects that are not among them."""
+    """Return parameters' values (p,), zero for missing ones of effects."""
     return np.array([parameters[n].value if n in parameters else 0.0 for n in names])
 
 
@@ -355,7 +356,7 @@ def _columns(difference: BaseParameterDifference, link: LinkInertia) -> np.ndarr
 
 
 def _force_scale(difference: BaseParameterDifference, joint: int) -> np.ndarray:
-    """Return the change of a refit by one joint's predicted force (r,): base parameters per unit of its factor less one."""
+    """Return the change of a refit by one joint's predicted force (r,): base parameters per unit of its factor minus one."""
     estimate = difference.estimate
     names = estimate.regression.parameters.names
     theta = np.where(np.isin(names, estimate.base.names), estimate.theta, 0.0)
@@ -373,7 +374,7 @@ def _complement(directions: Sequence[np.ndarray], n: int) -> np.ndarray:
 
 
 def _fit(difference: BaseParameterDifference, cause: str, place: str, B: np.ndarray) -> Explanation | None:
-    """Return an explanation's amplitudes by generalised least squares; None where it has no effect."""
+    """Return an explanation's amplitudes by generalised least squares; None if it has no effect."""
     norm = np.linalg.norm(B, axis=0)
     if not norm[0] > _MIN_EFFECT * np.linalg.norm(difference.combine, axis=0).max():
         return None
@@ -393,13 +394,13 @@ def _fit(difference: BaseParameterDifference, cause: str, place: str, B: np.ndar
 
 
 def _scale_bodies(robot: Robot, prior: BodyPrior, names: Sequence[str], forces: np.ndarray) -> np.ndarray:
-    """Return the covariance (r, r) of base parameters if every body is off as a whole, each by the share of its mass.
+    """Return the covariance (r, r) of base parameters if every body is wrong as a whole, each by a share of its mass.
 
     Args:
         robot: The robot.
-        prior: Of its bodies.
+        prior: Prior of its bodies.
         names: Parameters' names (p,).
-        forces: What each parameter contributes to the base parameters (r, p).
+        forces: Contribution of each parameter to the base parameters (r, p).
     """
     shares = {
         link.link: prior.rough[f"{link.link}.mass"] / prior.size[f"{link.link}.mass"]

@@ -1,10 +1,10 @@
 r"""Periodogram over the position: the statistic of each period of a cyclic error in a white residual.
 
 Thousands of periods are tried at once by Fourier transforms over the position (Scargle 1982). The score of `exp(i w q)`,
-`w = 2 pi / P`, against white residual rows `L e` is a Fourier sum over positions of `u = L' e`, weighted by the low-pass'
-gain at the local frequency `f = |v| / P`. Samples are sorted into a few classes of speed, in which this weight depends on P
-alone, and binned by position. A displacement acts by its acceleration, `(i w a - w^2 v^2) exp(i w q)`: two such sums. What noise
-makes of each period is seen from the noise draws, put through the same sums. The periods found are scored again exactly.
+`w = 2 pi / P`, against white residual rows `L e` is a Fourier sum over positions of `u = L' e`, weighted by the low-pass' gain
+at the local frequency `f = |v| / P`. Samples are sorted into a few classes of speed, in which this weight depends on P alone,
+and binned by position. A displacement acts by its acceleration, `(i w a - w^2 v^2) exp(i w q)`: two such sums. The distribution
+under noise follows from noise draws with the same sums. The periods found are scored again exactly.
 """
 
 from __future__ import annotations
@@ -19,12 +19,13 @@ from tau_dyn.estimate import Whitener
 from tau_dyn.log import compute_attenuation
 
 _CLASSES = 8  # of speed, each with as many samples
-_PER_PERIOD = 12  # position bins a period of the shortest wave
+_PER_PERIOD = 12  # position bins per period of the shortest wave
 _SMOOTHED = 9  # lines of the spectrum averaged for the noise next to a peak
 OVERSAMPLING = 4
-"""Steps of the scan per 1 / range; `effects/periodic.py` lays its grid out alike."""
+"""Steps of the scan per 1 / range; `effects/periodic.py` uses the same grid."""
 LONG_PERIODS = 8.0
-"""Periods in the range up to which one is not scanned but tried exactly: there the acceleration counts as well as the speed."""
+"""Number of periods in the range up to which a period is not scanned but tested exactly: there the acceleration matters as well
+as the speed."""
 Term = tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]
 """A factor of each sample (n,), and its complex size (g,) at angular frequencies w (g,) over the position."""
 
@@ -38,13 +39,13 @@ def compute_period_statistics(
     cutoff_hz: float,
     terms: Sequence[Term],
 ) -> np.ndarray:
-    """Return `T` (g, d) of each period for each residual.
+    """Return the statistic `T` (g, d) of each period for each residual.
 
     Args:
         q: Positions of samples (n,) [m or rad].
         v: Speeds (n,).
         u: White rows carried back to samples (n, d): the residual first, then noise draws.
-        mask: Samples that count (n,).
+        mask: Samples that are used (n,).
         periods: Periods (g,) [m or rad].
         cutoff_hz: The zero-phase low-pass that both sides pass [Hz].
         terms: The signal of a unit amplitude before it; see `build_force_terms` and `build_displacement_terms`.
@@ -73,7 +74,7 @@ def compute_period_statistics(
 
 
 def _sum_into_bins(bins: np.ndarray, values: np.ndarray, size: int) -> np.ndarray:
-    """Return the sums (d, size) of samples' values (n, d) in each bin; a transform along the last axis is the quickest."""
+    """Return the sums (d, size) of samples' values (n, d) in each bin; a transform along the last axis is the fastest."""
     order = np.argsort(bins, kind="stable")
     place, first = np.unique(bins[order], return_index=True)
     sums = np.zeros((values.shape[1], size))
@@ -82,7 +83,7 @@ def _sum_into_bins(bins: np.ndarray, values: np.ndarray, size: int) -> np.ndarra
 
 
 def build_force_terms(q: np.ndarray) -> list[Term]:
-    """Return the one term of a force of the position."""
+    """Return the single term of a position-dependent force."""
     return [(np.ones(len(q)), np.ones_like)]
 
 
@@ -102,10 +103,10 @@ def scan_periods(
     terms: Sequence[Term] | None = None,
     scale: np.ndarray | float = 1.0,
 ) -> np.ndarray:
-    """Return what periods of one joint's effects explain of white residuals (R, d), as (g, d).
+    """Return the statistics (g, d) of periods of one joint's effects on white residuals (R, d).
 
-    The joint has positions `q` (n,) [m or rad] and speeds `v` (n,); a unit amplitude is `terms`, by default a force of the
-    position, times a factor `scale` (n, 1).
+    The joint has positions `q` (n,) [m or rad] and speeds `v` (n,); a unit amplitude is `terms`, by default a
+    position-dependent force, times a factor `scale` (n, 1).
     """
     u, mask = select_output_rows(whiten, joint, white)
     periods = np.array([effect.settings["period"] for effect in effects])
@@ -113,7 +114,7 @@ def scan_periods(
 
 
 def select_output_rows(whiten: Whitener, output: int, white: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return white rows (R, d) of all outputs as samples (n, d) of one of them, and which samples (n,) are in a row of it."""
+    """Return white rows (R, d) of all outputs as samples (n, d) of one of them, and the mask (n,) of its samples in rows."""
     rows = whiten.rows[output :: whiten.n_outputs]
     u = np.concatenate(project_to_samples(rows, white[np.flatnonzero(whiten.index == output)]))
     return u, np.concatenate([np.asarray(abs(L).sum(axis=0)).ravel() > 0 for L in rows])

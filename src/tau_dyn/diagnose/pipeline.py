@@ -1,10 +1,10 @@
-"""One kind of measurement -> its diagnosis: causes searched, confirmed and measured, each on data of its own.
+"""One kind of measurement -> its diagnosis: causes searched, confirmed and measured, each on separate data.
 
     channel -> null model, candidate scan, stepwise selection -> confirmation -> claims with their gain -> diagnosis
 
-Forces, tool positions and deflections take the same way. Of forces the baseline stays physical, its parameters are compared
-with their nominal values, and a cause has to be more than what encoder noise makes of itself. Of poses a cyclic error may
-have several periods that fit equally well. A single joint's deflection and a tool have no mass that must stay positive and no
+Forces, tool positions and deflections take the same way. A force baseline stays physically consistent, its parameters are
+compared with their nominal values, and a cause has to exceed the effect of encoder noise. A cyclic error of poses may have
+several periods that fit equally well. A single joint's deflection and a tool have no mass that must stay positive and no
 nominal value.
 """
 
@@ -118,15 +118,15 @@ def diagnose_tool(
     progress: Progress = lambda step: None,
     warnings: Sequence[str] = (),
 ) -> Diagnosis:
-    """Find out what displaces the tool; options and errors are those of `diagnose`.
+    """Find the causes of displacements of the tool; options and errors are those of `diagnose`.
 
     Args:
         model: Its robot's geometry gives forward kinematics, its masses the loads.
-        logs: Logs with `q_J` and `x_tool y_tool z_tool`, sampled in time or poses held still.
+        logs: Logs with `q_J` and `x_tool y_tool z_tool`, sampled in time or static poses.
         holdout: Held-out logs.
         seed: Seed of noise draws and intervals.
         progress: Called with a word for each step.
-        warnings: Earlier doubts.
+        warnings: Earlier warnings.
     """
     train, held = list(logs), list(holdout)
     progress("columns")
@@ -148,13 +148,13 @@ def diagnose_deflection(
     """Find the causes of the difference between the two encoders of a joint; options and errors are those of `diagnose`.
 
     Args:
-        robot: Names the joints; its masses play no part.
+        robot: The robot, for the names of its joints; its masses are not used.
         logs: Logs to train on, with `q_J`, `tau_J` and `q_link_J` of the same joints.
         holdout: Held-out logs.
-        causes: Causes that may be found; by default all that come between two encoders.
+        causes: Causes that may be found; by default all that act between two encoders.
         seed: Seed of noise draws and intervals.
         progress: Called with a word for each step.
-        warnings: Earlier doubts.
+        warnings: Earlier warnings.
     """
     given, judged = ([x] if isinstance(x, Log) else list(x) for x in (logs, holdout))
     train, held, doubled = drop_repeated_logs(given, judged)
@@ -186,9 +186,9 @@ def diagnose_channel(
         how: How the data are divided, in words.
         seed: Seed of noise draws and intervals.
         progress: Called with a word for each step.
-        warnings: Earlier doubts.
-        case: Of forces, the fitted baseline behind the channel.
-        doubt: The reason why no cause may be confirmed; empty where there is none.
+        warnings: Earlier warnings.
+        case: The fitted baseline behind a channel of forces.
+        doubt: The reason why no cause may be confirmed; empty if causes may be confirmed.
     """
     rng = np.random.default_rng(seed)
     options, loads, without, first = ExaminationOptions(rng, progress), [], None, None
@@ -211,7 +211,7 @@ def diagnose_channel(
 
 
 def _describe_poor_fits(found: Examination, case: FittedBaseline) -> Sequence[str]:
-    """Return a warning about the outputs of which the extended model misses much more than noise."""
+    """Return a warning about the outputs at which the error of the extended model is much larger than noise."""
     last = found.waterfall.fits[-1]
     regression = replace(last.regression, preparation=case.preparation)
     return describe_poor_fits(find_poor_fits(regression, last.residuals))
@@ -220,7 +220,7 @@ def _describe_poor_fits(found: Examination, case: FittedBaseline) -> Sequence[st
 def _build_options(
     case: FittedBaseline, rng: np.random.Generator, progress: Progress, doubt: str
 ) -> ExaminationOptions:
-    """Return the circumstances of an examination of forces."""
+    """Return the options of an examination of forces."""
     gap_s = compute_border_gap_s(case.preparation.force_cutoff_hz, case.channel.prepared[0].log.rate_hz)
     noise = NoiseOnlyBootstrap(lambda: [case.noise_only(rng) for _ in range(N_BOOTSTRAP_DRAWS)])
     return ExaminationOptions(rng, progress, noise, case.physics, case.pad_nominal(), gap_s, doubt)
@@ -318,7 +318,7 @@ def _answer(
 def _measure_search_band(
     channel: Channel, before: EvaluatedFit, after: EvaluatedFit, cutoff_hz: float, seed: int
 ) -> SearchBand | None:
-    """Return the errors in the band in which causes are searched; None where errors are reported in the same one."""
+    """Return the errors in the band in which causes are searched; None if errors are reported in the same one."""
     if channel.report() is channel:
         return None
     floor = estimate_noise_floor(channel, after, np.random.default_rng(seed))
@@ -326,13 +326,13 @@ def _measure_search_band(
 
 
 def _describe_spoiled(warnings: Sequence[str]) -> str:
-    """Return why nothing may be confirmed from spoiled logs; empty for sound ones."""
+    """Return the reason why no cause may be confirmed from faulty logs; empty for sound ones."""
     codes = dict.fromkeys(get_code(warning) for warning in warnings if is_diagnosis_invalid([warning]))
     return f"the log is not what it claims to be ({', '.join(codes)}); mend it first" if codes else ""
 
 
 def _with_drift(untestable: Sequence[Untestable], unexplained: Sequence[Unexplained]) -> list[Untestable]:
-    """Say that a residual that drifts in time may be warmth, where no temperature was logged."""
+    """Warn that a residual that drifts in time may be due to temperature, if no temperature was logged."""
     drifts = [u.joint for u in unexplained if "t" in u.depends_on]
     if not drifts:
         return [*untestable]
@@ -342,7 +342,7 @@ def _with_drift(untestable: Sequence[Untestable], unexplained: Sequence[Unexplai
 
 
 def _build_extended_model(model: Model, claims: Claims, waterfall: Waterfall, findings: Sequence[Finding]) -> Model:
-    """Return the model with the accepted causes; findings' standard errors count the settings' uncertainty, and are taken."""
+    """Return the model with the accepted causes; standard errors are those of the findings, which include the settings'."""
     effects = [effect for effect in build_effects(claims.kept) if effect.name in EFFECTS]
     extended = _extend(model, waterfall.fits[-1], effects)
     own = {p.name: p.stderr for f in findings if f.status == "confirmed" for p in f.parameters}
@@ -352,7 +352,7 @@ def _build_extended_model(model: Model, claims: Claims, waterfall: Waterfall, fi
 
 
 def _extend(model: Model, fit: EvaluatedFit, effects: Sequence[Effect]) -> Model:
-    """Return a model with further effects and all values that the fit has; what belongs to the recording stays out."""
+    """Return a model with further effects and all values of the fit, without the parameters of the recording."""
     more = Parameters([p for effect in effects for p in effect.parameters])
     extended = replace(model, effects=(*model.effects, *effects), effect_parameters=model.effect_parameters + more)
     values = fit.parameters
@@ -371,7 +371,7 @@ def _build_traces(channel: Channel, before: EvaluatedFit, after: EvaluatedFit) -
 
 
 def _measure_parts(channel: Channel) -> tuple[float, float, float]:
-    """Return how long each part is [s]."""
+    """Return the length of each part [s]."""
     steps = [float(np.median(np.diff(run.t))) if len(run.t) > 1 else 0.0 for run in channel.runs]
     one, two, three = (
         sum(dt * int(np.sum(part == which)) for dt, part in zip(steps, channel.parts, strict=True)) for which in EVERY

@@ -1,11 +1,12 @@
-"""Logs made ready for finding causes: filters chosen from the logs themselves, and the timing of the logged forces.
+"""Preparation of logs for finding causes: filters chosen from the logs themselves, and the timing of the logged forces.
 
 Causes act far above the motion's own band, so forces and positions are filtered wider than for an identification, as far as the
-encoders' noise allows; the positions from which columns are made are filtered at what stands above that noise.
+encoders' noise allows; the positions from which columns are made are low-passed at the highest frequency at which the motion
+exceeds that noise.
 
-A fit of late forces takes a part of the delay for viscous friction and for masses: `m a(t - d)` has `m w^2 d v` in it, of 60 ms
-at 1 Hz more than many a joint's friction, and what it leaves looks like springs and hysteresis. So the delay `d` and the time
-constant `T` of each output are profiled (variable projection, Golub & Pereyra 1973): forces are moved back,
+A fit of late forces mistakes a part of the delay for viscous friction and for masses: `m a(t - d)` contains `m w^2 d v`, which
+at 60 ms and 1 Hz exceeds the friction of many joints, and its residual resembles springs and hysteresis. So the delay `d` and
+the time constant `T` of each output are profiled (variable projection, Golub & Pereyra 1973). Forces are shifted back,
 `y(t + d) + T y'(t + d)`, the baseline is refitted, and the values at the best `d` and `T` predict the force that effects of the
 recording act on.
 """
@@ -52,25 +53,26 @@ from tau_dyn.message_codes import CodedWarning
 from tau_dyn.robot import Robot
 
 BAND_FACTOR = 20.0
-"""Highest frequency looked at, in edges of the motion's own band; a tooth passes many times in one stroke."""
+"""Highest frequency used, in edges of the motion's own band; a tooth passes many times in one stroke."""
 SLOW_SHARE = 0.01  # speed at which a joint's direction has to be known, as a share of its fast speed
 MIN_DIRECTION_SNR = 5.0
-"""Speeds whose direction is sure, in the velocity's noise."""
+"""Least speed of certain direction, in standard deviations of the velocity's noise."""
 REVERSAL_GAP_PERIODS = 1.0
-"""Time gated out beside a reversal, in periods of the position filter: a joint may rest for half a period unseen, its friction
-anywhere between both directions, and the filter spreads the start over as much again. Rests passed for hysteresis and delays."""
+"""Time masked around a reversal, in periods of the position filter. A joint may rest unseen for half a period, with friction
+anywhere between both directions, and the filter spreads the start over the same time. Unmasked rests resemble hysteresis and
+delays."""
 OVERSAMPLING = 5.0
-"""Rate of a log that is worth keeping, in cutoffs of the position filter."""
+"""Rate to which a log is decimated, in cutoffs of the position filter."""
 SMOOTH_FACTOR = 2.0
-"""Of the frequency up to which the motion stands above the encoder's noise; a wider filter lets noise into the columns."""
+"""Share of the frequency up to which the motion exceeds the encoder's noise; a wider filter lets noise into the columns."""
 
 
 def choose_diagnosis_preparation(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ...]) -> Preparation:
     """Choose filters for finding causes, which may act far above the motion's own band.
 
-    The band of the forces is as wide as encoder noise allows: above it, that noise times a mass is all there is to see, and a
-    noise model spends itself on it. Positions are low-passed as widely as leaves ten times the velocity's noise below 1 % of
-    the fast speeds, so that reversals are seen sharply.
+    The band of the forces is as wide as encoder noise permits: above it, forces show only that noise times a mass, on which a
+    noise model would use up its order. The low-pass of positions is as wide as possible with ten times the velocity's noise
+    below 1 % of the fast speeds, so that reversals are sharp.
     """
     plain = choose_preparation(robot, logs, exclude)
     rate = min(log.rate_hz for log in logs)
@@ -103,11 +105,11 @@ def choose_diagnosis_preparation(robot: Robot, logs: Sequence[Log], exclude: tup
 def keep_diagnosable(
     robot: Robot, logs: Sequence[Log], train: Sequence[Log], held: Sequence[Log], exclude: tuple[str, ...]
 ) -> tuple[list[Log], list[Log], tuple[str, ...]]:
-    """Return the pieces that are long enough for every filter of a diagnosis, and what is said of the others.
+    """Return the pieces that are long enough for every filter of a diagnosis, and warnings about the others.
 
     Args:
-        robot: Gives the actuated joints.
-        logs: What the training pieces are cut from.
+        robot: The robot, for its actuated joints.
+        logs: Logs from which the training pieces are cut.
         train: Pieces of the training logs; the filters are chosen from them.
         held: Pieces of held-out logs; they may all be too short.
         exclude: Log columns whose nonzero samples are left out.
@@ -129,7 +131,7 @@ def keep_diagnosable(
 
 
 def decimate_log(log: Log, cutoff_hz: float) -> Log:
-    """Return a log at a lower rate, where it is sampled far faster than a low-pass at `cutoff_hz` needs."""
+    """Return a log at a lower rate if it is sampled far faster than a low-pass at `cutoff_hz` needs."""
     factor = int(log.rate_hz // (OVERSAMPLING * cutoff_hz))
     if factor < 2:
         return log
@@ -143,19 +145,20 @@ def decimate_log(log: Log, cutoff_hz: float) -> Log:
 
 
 def smooth_cutoff(robot: Robot, logs: Sequence[Log]) -> float:
-    """Return the low-pass [Hz] that keeps of positions what stands above the encoder's noise, for making columns.
+    """Return the low-pass [Hz] that keeps the frequencies at which positions exceed the encoder's noise, for making columns.
 
-    Noise in the columns is noise in the residual, times a mass: a cause whose column has the same noise, or lacks it where
-    the baseline has it, would be found in it.
+    Noise in the columns is noise in the residual, times a mass: a cause whose column has the same noise, or lacks the
+    baseline's noise, would be found in the residual.
     """
     edges = [find_motion_band(log.joint("q", robot.actuated), log.rate_hz).signal_edge_hz.max() for log in logs]
     return SMOOTH_FACTOR * float(max(edges))
 
 
 def smooth_cutoffs(robot: Robot, train: Sequence[Log], held: Sequence[Log]) -> tuple[float, ...]:
-    """Return that low-pass [Hz] of each log: one for all that trains, at least as wide for what is held out.
+    """Return that low-pass [Hz] of each log: the same for all training logs, at least as wide for held-out logs.
 
-    A held-out log may move more sharply than those trained on; cut like them, it would lose acceleration that the robot had.
+    A held-out log may hold faster motion than the training logs; with their cutoff it would lose acceleration that the robot
+    had.
     """
     shared = smooth_cutoff(robot, train)
     return (*[shared] * len(train), *[max(shared, smooth_cutoff(robot, [log])) for log in held])
@@ -164,28 +167,28 @@ def smooth_cutoffs(robot: Robot, train: Sequence[Log], held: Sequence[Log]) -> t
 def clear_cutoff(robot: Robot, logs: Sequence[Log]) -> float:
     """Return the low-pass [Hz] of the forces that springs carry.
 
-    A spring's force on the load is the fourth derivative of a position: above this, its column would be encoder noise, and the
-    residual, which holds the same noise times a mass, would speak against any spring.
+    A spring's force on the load is the fourth derivative of a position: above this frequency, its column would be encoder
+    noise, and the residual, which contains the same noise times a mass, would contradict any spring.
     """
     bands = [find_motion_band(log.joint("q", robot.actuated), log.rate_hz) for log in logs]
     return float(max(max(band.clear_edge_hz.max(), band.edge_hz.max()) for band in bands))
 
 
 def compute_border_gap_s(cutoff_hz: float, rate_hz: float) -> float:
-    """Return the time [s] on both sides of a border in which a low-pass at `cutoff_hz` still remembers the other side."""
+    """Return the time [s] on both sides of a border in which a low-pass at `cutoff_hz` still depends on the other side."""
     return 0.5 * compute_edge_samples(cutoff_hz, rate_hz) / rate_hz
 
 
 MAX_TIME_S = 0.1
-"""Longest delay and time constant that are looked for: the end of the plausible range of `delay` and `drive_lag`."""
+"""Longest delay and time constant in the search: the end of the plausible range of `delay` and `drive_lag`."""
 MIN_TIME_S = 3e-3
-"""Time below which values are left as they are: of a motion at 2 Hz it turns 4 % of the force into another."""
+"""Time below which values are not corrected: for a motion at 2 Hz it changes 4 % of the force."""
 _STEPS_S = (1e-2, 2.5e-3, 6e-4, 1.5e-4, 4e-5)
 """Steps of the search: the misfit of motions up to 10 Hz has one minimum within 10 ms."""
 _MAX_ROWS = 8000
-"""Samples looked at, evenly over the runs: enough for a time to a tenth of a millisecond."""
+"""Samples used, evenly over the runs: enough for a time to a tenth of a millisecond."""
 _MIN_IMPROVEMENT = 0.02
-"""Share of the squared misfit that a time must take away; what noise makes of some forty tries is far less."""
+"""Share of the squared misfit by which a time must reduce it; the best of some forty tries on noise is far less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,9 +196,9 @@ class ForceTiming:
     """Timing of the logged forces that fits the baseline best.
 
     Attributes:
-        delays: Of each output (m,) [s].
+        delays: Delay of each output (m,) [s].
         lags: Time constants of each output's low-pass (m,) [s].
-        change: What that timing changes in the baseline's values (p,).
+        change: Change of the baseline's values (p,) by that timing.
     """
 
     delays: np.ndarray
@@ -204,7 +207,7 @@ class ForceTiming:
 
 
 def find_timing(runs: Sequence[RegressionRun], values: np.ndarray, free: np.ndarray) -> ForceTiming | None:
-    """Return the timing of the forces that fits the baseline best; None where it is as good as none.
+    """Return the timing of the forces that fits the baseline best; None if it is no better than no correction.
 
     Args:
         runs: The training runs, with the baseline's columns.
@@ -249,7 +252,7 @@ class _Profile:
         self.Q = orthonormalise(self.W * self.weight[:, None])
 
     def moved(self, delays: np.ndarray, lags: np.ndarray) -> np.ndarray:
-        """Return usable forces (R,) with the outputs' delays (m,) and low-passes (m,) [s] taken out."""
+        """Return usable forces (R,) corrected for the outputs' delays (m,) and low-passes (m,) [s]."""
         found = []
         for t, y, spline, mask in zip(self.t, self.y, self.splines, self.usable, strict=True):
             whole = y.copy()
@@ -268,7 +271,7 @@ class _Profile:
         return float(y @ y - np.sum((self.Q.T @ y) ** 2))
 
     def minimise(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the best delays and time constants (m,) [s]: of all outputs alike, then of each alone where better."""
+        """Return the best delays and time constants (m,) [s]: one for all outputs first, then one per output if better."""
         best = np.zeros(self.m), np.zeros(self.m)
         least = self.misfit(*best)
         alone = [np.arange(self.m) == k for k in range(self.m)]
@@ -282,7 +285,7 @@ class _Profile:
     def _search(
         self, start: tuple[np.ndarray, np.ndarray], least: float, which: np.ndarray, kind: int
     ) -> tuple[float, tuple[np.ndarray, np.ndarray]]:
-        """Return the least misfit over the delay (kind 0) or the time constant (1) of some outputs (m,), and where it is."""
+        """Return the least misfit over the delay (kind 0) or the time constant (1) of some outputs (m,), and its position."""
 
         def at(x: float) -> tuple[np.ndarray, np.ndarray]:
             times = [np.array(one) for one in start]

@@ -1,9 +1,10 @@
-"""What a fitted model predicts of causes that move its weakly determined parameters.
+"""Signals that a fitted model predicts for causes that change its weakly determined parameters.
 
-A turned gravity, a wrong zero or a saturated drive feels combinations of masses that no force under the nominal one shows. A
-fit without it moves weakly determined ones to explain it. So the values are refitted beside the cause, as near the nominal ones
-as the data let them be, and the cause's forces are made with these. A wrong zero is no small change of the positions: it is found
-together with all values by Gauss-Newton steps on the regression of the training logs (Ljung 1999, 10.2).
+A turned gravity, a wrong zero or a saturated drive depends on combinations of masses that no force under nominal gravity shows.
+A fit without the cause changes weakly determined combinations to explain it. So the values are refitted together with the
+cause, as near the nominal ones as the data permit, and the cause's forces are computed with these. A wrong zero is not a small
+change of the positions: it is estimated together with all values by Gauss-Newton steps on the regression of the training logs
+(Ljung 1999, 10.2).
 """
 
 from __future__ import annotations
@@ -24,27 +25,28 @@ from tau_dyn.log import decimate
 from tau_dyn.model import Model
 
 _MAX_ROWS = 8000
-"""Samples from which values are made: many times the number of parameters."""
+"""Samples from which values are estimated: many times the number of parameters."""
 _MAX_SHIFTED_SAMPLES = 600
-"""Samples of all joints from which zeros are found; the positions' shift is smooth, and the exact columns are made afterwards."""
+"""Samples of all joints from which zeros are estimated; the positions' shift is smooth, and the exact columns are made
+afterwards."""
 _MIN_RELATIVE_NORM = 1e-7
 """Size of a column, relative to the largest, below which it is a rounding of the robot file."""
 _WEIGHING = ("mass", "mx", "my", "mz")
 _STIFFNESS = 30.0
-"""How much less of a misfit masses and first moments take than inertias, where either can: a drive's inertia that nobody gave
-is in the bodies' inertia, and the robot file knows masses better."""
+"""Factor by which masses and first moments absorb less of a misfit than inertias, if either can. An unknown drive inertia is
+part of the bodies' inertia, and masses of the robot file are more accurate."""
 _GAUSS_NEWTON_STEPS = 10
 """Steps of a zero's search; from 0.3 rad five of them reach its rounding."""
 _MAX_STEP = 0.3
-"""Largest step of a zero in multiples of one [m or rad]; the law is no more linear beyond."""
+"""Largest step of a zero in multiples of one [m or rad]; the law is not linear beyond."""
 _CONVERGED = 1e-6
 """Step of a zero below which its search ends [m or rad], far below what forces show."""
 _SATURATION_PASSES = 3
-"""Refits beside a saturation; the error of the force falls by the share of the saturation in each of them."""
+"""Number of refits with a saturation; each of them reduces the error of the force by the share of the saturation."""
 
 
 def interpolate_smooth(piece: PreparedSegment, compute: Callable[..., np.ndarray]) -> np.ndarray:
-    """Return what is computed of positions, speeds and accelerations, smooth, so made at the regression's rate."""
+    """Return smooth signals computed from positions, speeds and accelerations; the regression's rate is enough for them."""
     m, t = piece.motion, piece.log.t
     few = np.unique(np.append(np.arange(0, len(t), piece.factor), len(t) - 1))
     return np.asarray(CubicSpline(t[few], compute(m.q[few], m.v[few], m.a[few]))(t))
@@ -52,7 +54,7 @@ def interpolate_smooth(piece: PreparedSegment, compute: Callable[..., np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class RefittedModel:
-    """A fitted model and the training logs that it is refitted to, next to a cause.
+    """A fitted model and the training logs to which it is refitted together with a cause.
 
     Attributes:
         model: The model at fitted values.
@@ -60,7 +62,7 @@ class RefittedModel:
         prepared: All pieces.
         runs: Their regressions.
         trained: Whether a piece belongs to a training log.
-        source: The refits whose values are taken, where an effect was fitted to other pieces; None to refit to these.
+        source: The refits whose values are used if an effect was fitted to other pieces; None to refit to these.
     """
 
     model: Model
@@ -86,7 +88,7 @@ class RefittedModel:
         return self._refit_beside(columns)
 
     def _refit_beside(self, columns: Sequence[np.ndarray]) -> np.ndarray:
-        """Return the values (p,) nearest the nominal ones beside columns (n, na, k) of each piece."""
+        """Return the values (p,) nearest the nominal ones in a fit together with columns (n, na, k) of each piece."""
         parts = zip(self.runs, columns, self.trained, strict=True)
         rows = [
             (np.concatenate([run.W_all, more], axis=2)[run.usable], (run.y_all - run.W_all @ self.nominal)[run.usable])
@@ -109,7 +111,7 @@ class RefittedModel:
 
     @cached_property
     def delivered(self) -> np.ndarray:
-        """Change of the fitted values (p,) by a refit beside a saturation of every drive."""
+        """Change of the fitted values (p,) by a refit with a saturation of every drive."""
         if self.source is not None:
             return self.source.delivered
         values = fitted = self.model.parameters.values
@@ -121,13 +123,13 @@ class RefittedModel:
         return values - fitted
 
     def find_largest(self, forces: Sequence[np.ndarray]) -> np.ndarray:
-        """Return the largest force (na,) of the training pieces, of forces (n, na) of all."""
+        """Return the largest force (na,) of the training pieces from forces (n, na) of all."""
         sizes = [np.abs(f).max(axis=0) for f, mine in zip(forces, self.trained, strict=True) if mine]
         return np.maximum(np.max(sizes, axis=0), 1e-300)
 
     @cached_property
     def largest(self) -> np.ndarray:
-        """The largest force (na,) that the drives give in the training logs."""
+        """The largest force (na,) of the drives in the training logs."""
         if self.source is not None:
             return self.source.largest
         values = self.model.parameters.values + self.delivered
@@ -135,7 +137,7 @@ class RefittedModel:
 
     @cached_property
     def zeros(self) -> np.ndarray:
-        """Error of each joint's position (na,) that fits best, the values refitted; zero where no force tells it from them."""
+        """Best-fitting position error of each joint (na,), values refitted; zero if forces cannot separate it from them."""
         return np.array([search.find_zero() for search in self._searches])
 
     @cached_property
@@ -169,7 +171,7 @@ class RefittedModel:
 
 
 def shift_safely(force: Callable[[np.ndarray], np.ndarray], q: np.ndarray, joint: int, unit: str) -> np.ndarray:
-    """Return the change of a function at displaced positions; zeros where a loop does not close there or it is rounding."""
+    """Return the change of a function at displaced positions; zero if a loop does not close there or the change is rounding."""
     here = force(q)
     try:
         found = compute_shifted_forces(force, q, joint, unit)
@@ -180,18 +182,18 @@ def shift_safely(force: Callable[[np.ndarray], np.ndarray], q: np.ndarray, joint
 
 
 def _lay_by_joint(x: np.ndarray) -> np.ndarray:
-    """Return values (n, na) as columns (n, na, na) that each act on their own joint."""
+    """Return values (n, na) as columns (n, na, na), each of which acts on its own joint."""
     return x[:, :, None] * np.eye(x.shape[1])
 
 
 @dataclass(frozen=True, eq=False)
 class _ZeroSearch:
-    """Rows from which the zero of one joint is found.
+    """Rows from which the zero of one joint is estimated.
 
     Attributes:
-        W: Weighed columns (R, p).
+        W: Weighted columns (R, p).
         changes: Their change at the four shifts (R, p, 4).
-        y: Weighed forces (R,).
+        y: Weighted forces (R,).
         free: Which parameters are refitted (p,).
         values: Values of the others (p,).
         unit: The joint's force unit.
@@ -206,7 +208,7 @@ class _ZeroSearch:
 
     @classmethod
     def of(cls, refitted: RefittedModel, joint: int, unit: str) -> _ZeroSearch:
-        """Collect thinned rows of the training pieces, each output by the size of what the baseline leaves of it."""
+        """Collect decimated rows of the training pieces, each output divided by the rms of its baseline residual."""
         model = refitted.model
         total = sum(len(run.t) for run, mine in zip(refitted.runs, refitted.trained, strict=True) if mine)
         every, rows = 1 + total // _MAX_SHIFTED_SAMPLES, []
@@ -237,7 +239,7 @@ class _ZeroSearch:
         return cls(W, changes, y, np.asarray(model.parameters.free), values, unit)
 
     def residual_rows(self, zero: float, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return columns (R, p) at a zero and what values (p,) leave there (R,)."""
+        """Return columns (R, p) at a zero and the residual (R,) of values (p,) there."""
         W = self._columns(zero)
         return W, self.y - W @ values
 
@@ -245,7 +247,7 @@ class _ZeroSearch:
         return self.W + self.changes @ (zero * interpolate_shifts(zero, self.unit))
 
     def find_zero(self) -> float:
-        """Return the zero at the least misfit near none, by Gauss-Newton steps that are halved until the misfit falls."""
+        """Return the zero error of least misfit near zero, by Gauss-Newton steps that are halved until the misfit falls."""
         zero, (cost, step) = 0.0, self._step(0.0)
         for _ in range(_GAUSS_NEWTON_STEPS):
             if abs(step) < _CONVERGED:
@@ -258,7 +260,7 @@ class _ZeroSearch:
         return zero
 
     def _step(self, zero: float) -> tuple[float, float]:
-        """Return the misfit at a zero, the values refitted, and the Gauss-Newton step; it is none where bodies are an alias."""
+        """Return the misfit at a zero error, values refitted, and the Gauss-Newton step; it is zero where bodies are an alias."""
         W = self._columns(zero)
         unit, norm = scale_columns(W[:, self.free])
         theta = np.array(self.values)

@@ -1,13 +1,15 @@
 r"""Resonances that a residual shows: a black-box fit of it against the force that springs would carry proposes modes.
 
-What a yielding structure adds to forces or takes off the tool's place answers linearly to the force F of the rigid bodies,
+The contribution of a compliant structure to forces, or to the tool position, is a linear response to the force F of the rigid
+bodies,
 
     residual = G(s) F + D F + noise,     G with the poles of the structure,
 
-and a low-pass that both sides share leaves G as it is. So the subspace method of `modes/` and its refinement, on the training
+and a low-pass common to both sides does not change G. So the subspace method of `modes/` and its refinement, on the training
 part alone, give the number of modes, their frequencies and their damping; the search (`effects/structural_compliance.py`) then
-weighs them like any other setting, beside all other causes. D takes what the baseline's refit moved about. Orders compete by
-BIC against no mode at all; a mode whose frequency or damping the data do not know is not proposed. Reference: Ljung 1999, 16.4.
+rates them like any other setting, together with all other causes. D absorbs the changes of the baseline's refit. Orders are
+compared by BIC, including no mode at all; a mode whose frequency or damping is poorly determined is not proposed. Reference:
+Ljung 1999, 16.4.
 """
 
 from __future__ import annotations
@@ -45,18 +47,19 @@ from tau_dyn.parameters import Parameter
 
 ORDERS = (2, 4, 6, 8)
 MIN_FREQUENCY_HZ = 3.0
-"""Below, friction and drift look like modes."""
+"""Lowest frequency [Hz] of a mode: below, friction and drift resemble modes."""
 HEAVIEST = 0.3
-"""Damping ratio above which a mode does not ring."""
+"""Damping ratio above which a mode does not resonate."""
 KNOWN = (0.02, 0.5)
 """Largest standard errors of frequency and damping, as shares of them, of a mode that is proposed."""
 MIN_SEGMENT_S = 2.0
-"""Stretches without a reversal that are long enough to show a mode ring [s]."""
+"""Least length of stretches without a reversal in which a mode's oscillation is observable [s]."""
 MAX_SAMPLES = 20_000  # of the records that resonances are fitted to; bounds time
 ALONE = 0.95
-"""Share of what a whole matrix explains, from which on a single joint's compliance is the simpler answer."""
+"""Share of the statistic of a full matrix from which on a single joint's compliance is the simpler explanation."""
 _REACH = 1.25
-"""Frequency up to which modes are proposed, in those up to which the motion is clear; noise rings there in the fit only."""
+"""Frequency up to which modes are proposed, as a multiple of that up to which the motion exceeds noise; resonances above it are
+artefacts of noise."""
 _MAX_ITERATIONS = 15  # of the refinement of a proposed resonance
 _CAUSE = "structural_compliance"
 _SPREAD = 2.0  # standard errors of a frequency
@@ -76,14 +79,14 @@ def add_resonances(channel: C) -> C:
     if not found.scene.resonances or not _of_structure(found):
         return found
     causes = found.causes
-    if isinstance(channel, ToolChannel):  # there each group is a cause of its own
+    if isinstance(channel, ToolChannel):  # there each group is a separate cause
         others = (cls for cls in causes if cls.name != _CAUSE)
         causes = (*others, restrict_to_group(channel.scene.joints, StructuralCompliance))
     return replace(found, scene=replace(found.scene, structure=True), causes=causes)
 
 
 def _of_structure(channel: Channel) -> bool:
-    """Tell whether proposed modes are more than any single joint's: one explains less than nearly all of what a matrix does."""
+    """Return whether proposed modes are more than any single joint's: each joint explains clearly less than a full matrix."""
     scene = channel.scene
     if len(scene.joints) < 2:
         return False
@@ -94,7 +97,7 @@ def _of_structure(channel: Channel) -> bool:
 
 
 def _missed(channel: Channel, effects: Sequence[StructuralCompliance | None]) -> list[float]:
-    """Return what the baseline leaves of the training part with each effect or with none, outputs by their own size."""
+    """Return the residual of the training part, with each effect or without, each output divided by its own size."""
     masks = channel.masks(TRAIN)
 
     def rows(arrays: Sequence[np.ndarray]) -> np.ndarray:
@@ -114,7 +117,7 @@ def _missed(channel: Channel, effects: Sequence[StructuralCompliance | None]) ->
 
 
 def propose_resonances(channel: Channel) -> tuple[tuple[float, float], ...]:
-    """Return frequency [Hz] and damping ratio of the modes that the training part shows, the surest first."""
+    """Return frequency [Hz] and damping ratio of the modes in the training part, the best determined first."""
     records = _records(channel)
     best = _most_likely(records) if records else None
     if best is None:
@@ -127,25 +130,25 @@ def propose_resonances(channel: Channel) -> tuple[tuple[float, float], ...]:
 
 
 def _clear_hz(channel: Channel) -> float:
-    """Return the frequency up to which the motion stands clear of the encoders' noise, which forces have in common with it."""
+    """Return the frequency up to which the motion exceeds the encoders' noise; forces share that noise."""
     if not isinstance(channel, ForceChannel):
         return np.inf
     return min(float(piece.motion.signals["clear_hz"][0]) for piece in channel.prepared)
 
 
 def _one(a: Mode, b: Mode) -> bool:
-    """Tell whether two modes lie within half their resonance's width: one matrix holds both shapes."""
+    """Return whether two modes are within half their resonance's width: one matrix represents both shapes."""
     return abs(a.frequency_hz - b.frequency_hz) < a.damping_ratio * a.frequency_hz / 2
 
 
 def _known(mode: Mode) -> bool:
-    """Tell whether a mode rings and the data know it; unknown errors are nan and fail."""
+    """Return whether a mode is underdamped and well determined; unknown errors are nan and fail."""
     frequency, damping = (share * x for share, x in zip(KNOWN, (mode.frequency_hz, mode.damping_ratio), strict=True))
     return 0 < mode.damping_ratio < HEAVIEST and mode.frequency_stderr < frequency and mode.damping_stderr < damping
 
 
 def _most_likely(records: Sequence[Record]) -> RefinedModel | None:
-    """Return the best model by BIC; None where none beats a residual that answers at once or not at all."""
+    """Return the best model by BIC; None if a static response or no response is better."""
     p, m = records[0].y.shape[1], records[0].u.shape[1]
     n = sum(r.n_samples for r in records)
     least = compute_aic_bic(
@@ -175,16 +178,16 @@ def _most_likely(records: Sequence[Record]) -> RefinedModel | None:
 
 
 def _at_once(records: Sequence[Record]) -> list[np.ndarray]:
-    """Return what a static answer to the force leaves."""
+    """Return the residual of a static response to the force."""
     u, y = (np.concatenate([getattr(r, key) for r in records]) for key in "uy")
     D = np.linalg.lstsq(u, y, rcond=1e-9)[0]
     return [r.y - r.u @ D for r in records]
 
 
 def _records(channel: Channel) -> list[Record]:
-    """Return the training part's unbroken stretches: forces of the rigid bodies in, residual out.
+    """Return the training part's unbroken stretches: rigid-body forces as input, residual as output.
 
-    Stretches end where a joint turns back, unless that leaves less than half: then friction's jumps stay in.
+    Stretches end where a joint reverses, unless less than half of the samples would remain: then friction's jumps are kept.
     """
     if not isinstance(channel, ForceChannel | ToolChannel):
         return []
@@ -233,14 +236,14 @@ def _few(records: Sequence[Record]) -> Iterator[Record]:
 
 
 def add_band_note(finding: Finding, band_hz: float) -> Finding:
-    """Return a finding that says so where its resonance lies above what the encoders show, and which data would tell.
+    """Return a finding, with a note on the data needed if its resonance is above the band that the encoders resolve.
 
-    Frequency and damping of such a resonance are guesses, and lose their standard errors: true springs at 55 and 93 Hz were read
-    as 14.7 +- 0.1 and 18.6 +- 1.3 Hz, where the encoders showed 13 and 15 Hz.
+    Frequency and damping of such a resonance are unreliable and lose their standard errors: true springs at 55 and 93 Hz were
+    estimated as 14.7 +- 0.1 and 18.6 +- 1.3 Hz from encoders that resolved 13 and 15 Hz.
 
     Args:
         finding: Any finding.
-        band_hz: Frequency up to which the motion stands clearly above the encoders' noise [Hz].
+        band_hz: Frequency up to which the motion clearly exceeds the encoders' noise [Hz].
     """
     if finding.cause != _CAUSE:
         return finding

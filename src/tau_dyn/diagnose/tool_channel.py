@@ -1,13 +1,13 @@
-r"""The tool channel: measured tool positions against forward kinematics of measured joint positions.
+r"""The tool channel: measured tool positions compared with forward kinematics of measured joint positions.
 
     R m + p - T(q) = frame + J zero + sum of effects' tool columns + noise
 
-The measuring device's frame is first laid on the robot's (Kabsch 1976), so that the rest is small; the baseline then refits
-that frame (three shifts, three turns) and each joint's zero, as far as they do not depend on each other (three equal zeros
-of parallel guideways are a shift). The robot's geometry is taken as calibrated.
+The measuring device's frame is first aligned with the robot's (Kabsch 1976), so that the residual is small; the baseline then
+refits that frame (three shifts, three turns) and each joint's zero, as far as they do not depend on each other (three equal
+zeros of parallel guideways are a shift). The robot's geometry is taken as calibrated.
 
-Logs sampled in time are low-passed like forces. Poses held still, recognised by a sampling too slow to show motion, count one
-by one; a joint's direction is that of its way from the pose before, on which it is taken not to turn back.
+Logs sampled in time are low-passed like forces. Static poses, recognised by a sampling too slow to show motion, count one
+by one; a joint's direction is that of its travel from the previous pose, on which it is assumed not to reverse.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ from tau_dyn.parameters import Parameter, Parameters
 OUTPUTS = ("x_tool", "y_tool", "z_tool")
 _MAX_RESTING_SHARE = 1e-4  # of a joint's range: it has not moved
 _STILL = 1e-9
-"""Speed [m/s or rad/s] that rounding alone gives a joint which stands still without any noise."""
+"""Speed [m/s or rad/s] that rounding alone gives a joint at rest without noise."""
 _MAX_RELATIVE_DISTANCE = 0.05
-"""Distance from forward kinematics over the positions' own spread, above which the two do not belong together."""
+"""Distance from forward kinematics divided by the positions' own spread, above which the two do not match."""
 _LINE = 1e-6
-"""Squared width over squared length of all positions, below which they lie on a line and leave the turn about it open; the
-frames then have to agree beforehand."""
+"""Squared width over squared length of all positions, below which they are on a line and do not determine the turn about it;
+the frames then have to agree beforehand."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class ToolSegment(MeasuredSegment):
 
 
 def cut(log: Log) -> list[Log]:
-    """Return a log's even stretches, or the log itself where it holds poses."""
+    """Return a log's even stretches, or the log itself if it holds poses."""
     missing = [c for c in OUTPUTS if c not in log.channels]
     if missing:
         raise InputError(
@@ -86,12 +86,12 @@ def cut(log: Log) -> list[Log]:
 
 
 def is_static(log: Log) -> bool:
-    """Tell whether a log holds poses: sampled too slowly to show motion."""
+    """Return whether a log holds poses: sampled too slowly to show motion."""
     return log.rate_hz < MIN_RATE_HZ
 
 
 def build_tool_segment(model: Model, log: Log, preparation: Preparation | None) -> ToolSegment:
-    """Return a stretch with directions of motion, what effects feel, and forward kinematics; low-passed unless of poses."""
+    """Return a stretch with directions of motion, signals for effects and forward kinematics; poses are not low-passed."""
     joints, mechanism = model.robot.actuated, model.mechanism
     tool = np.column_stack([log.channels[c] for c in OUTPUTS])
     q = log.joint("q", joints)
@@ -122,20 +122,20 @@ def build_tool_segment(model: Model, log: Log, preparation: Preparation | None) 
 
 
 def _approach(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return from which side each pose was approached (N, na), and the way since the last reversal (N, na)."""
+    """Return the direction from which each pose was approached (N, na), and the travel since the last reversal (N, na)."""
     way = np.diff(q, axis=0, prepend=q[:1])
     way = np.where(np.abs(way) > _MAX_RESTING_SHARE * np.ptp(q, axis=0), way, 0.0)
     sign, travel = np.zeros_like(q), np.zeros_like(q)
     for k in range(1, len(q)):
         goes = np.sign(way[k])
-        sign[k] = np.where(goes == 0, sign[k - 1], goes)  # a joint that stands stays on its side
+        sign[k] = np.where(goes == 0, sign[k - 1], goes)  # a joint at rest stays on its side
         onward = np.where((goes == 0) | (goes == sign[k - 1]), travel[k - 1], 0.0)
         travel[k] = onward + np.abs(way[k])
     return sign, travel
 
 
 def align_tool_frame(pieces: Sequence[ToolSegment]) -> list[ToolSegment]:
-    """Lay the measuring frame on the robot's, over all pieces at once."""
+    """Align the measuring frame with the robot's, over all pieces at once."""
     measured = np.concatenate([p.measured[p.usable] for p in pieces])
     predicted = np.concatenate([p.predicted[p.usable] for p in pieces])
     if len(measured) < 3:
@@ -158,7 +158,7 @@ def align_tool_frame(pieces: Sequence[ToolSegment]) -> list[ToolSegment]:
     return found
 
 
-_DEPENDENT = 1e-6  # relative norm that is left of a dependent column by rounding
+_DEPENDENT = 1e-6  # relative norm of a dependent column due to rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +175,7 @@ class ToolChannel(MeasuredChannel):
 
     @property
     def poses(self) -> bool:
-        """Whether some of the logs are poses held still."""
+        """Whether some of the logs are static poses."""
         return any(piece.cutoff_hz is None for piece in self.pieces)
 
     def run_columns(self, effect: Effect, run: int) -> np.ndarray:
@@ -197,7 +197,7 @@ class ToolChannel(MeasuredChannel):
         return tuple(found)
 
     def quick_columns(self, effect: Effect) -> Sequence[np.ndarray] | None:
-        """Return a dense effect's columns on decimated motion, weakened as the low-pass weakens each sample's local frequency."""
+        """Return a dense effect's columns on decimated motion, attenuated by the low-pass at each sample's local frequency."""
         if not effect.dense or not isinstance(effect, DisplacementEffect):
             return None
         found = []
@@ -210,7 +210,7 @@ class ToolChannel(MeasuredChannel):
         return found
 
     def variables(self) -> list[Mapping[str, np.ndarray]]:
-        """Return positions, speeds (of poses: the way from the one before), accelerations and time of each run."""
+        """Return positions, speeds (for poses, the travel from the previous one), accelerations and time of each run."""
         found = []
         for piece in self.pieces:
             q, v, a = (x[:: piece.factor] for x in (piece.motion.q, piece.motion.v, piece.motion.a))
@@ -224,12 +224,12 @@ def build_tool_channel(model: Model, train: Sequence[Log], held: Sequence[Log] =
     """Build the channel.
 
     Args:
-        model: Gives geometry, and the loads and forces that some effects feel.
+        model: Model for the geometry, and for the loads and forces that some effects depend on.
         train: Logs with `q_J` of every actuated joint and `x_tool y_tool z_tool`.
         held: Held-out logs.
 
     Raises:
-        InputError: A log has no tool, or the robot file has none.
+        InputError: A log or the robot file has no tool.
         CannotAnswer: Too few measurements for three parts.
     """
     robot = model.robot
@@ -264,10 +264,10 @@ def build_tool_channel(model: Model, train: Sequence[Log], held: Sequence[Log] =
 
 
 def restrict_to_group(group: tuple[str, ...], cls: type[Effect]) -> type[Effect]:
-    """Return a cause that is tried on one group of joints only.
+    """Return a cause that is tested on one group of joints only.
 
-    The search adds up what a cause explains on several joints. Forces show each joint apart; the tool shows their sum, so here
-    each joint counts as a cause of its own, and a further joint is found in a further round.
+    The search adds the statistics of a cause over several joints. Forces show each joint separately; the tool shows their sum,
+    so here each joint is a separate cause, and a further joint is found in a further step.
     """
 
     def groups(_: type[Effect], scene: Scene) -> list[tuple[str, ...]]:

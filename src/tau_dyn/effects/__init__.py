@@ -1,4 +1,4 @@
-"""Physics that a rigid model leaves out, one file an effect."""
+"""Physical effects beyond the rigid model, one file per effect."""
 
 from lazy_loader import attach_stub
 

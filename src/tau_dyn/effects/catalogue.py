@@ -1,10 +1,10 @@
-"""Which effects exist: those of this package in the contract's order, and those that a program adds from outside by `register`.
+"""List of all effects: those of this package in the contract's order, and those that a program adds by `register`.
 
     @tau_dyn.effects.register
     class Bellows(JointwiseEffect): ...
 
-From then on model files, effect files, `simulate` and `diagnose` know it by its name, as they know ours. Nothing is searched for
-and no file is run by itself: a program that loads a model with an effect of its own imports the module that registers it first.
+Model files, effect files, `simulate` and `diagnose` then know it by its name, like the built-in effects. No module is searched
+for or run automatically: a program that loads a model with its own effect imports the module that registers it first.
 """
 
 from __future__ import annotations
@@ -50,20 +50,20 @@ from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.robot import Robot
 
 EFFECTS: dict[str, type[Effect]] = {}
-"""Every effect by the name model files use, causes in the order in which they are listed."""
+"""Every effect by its name in model files, causes in the order in which they are listed."""
 
 _SAID_BY_A_CAUSE = ("equation", "reveals")
 E = TypeVar("E", bound=type[Effect])
 
 
 def register(effect: E) -> E:
-    """Make an effect known by its name, and return it, so that it serves as a decorator.
+    """Register an effect under its name, and return it, so that the function can be used as a decorator.
 
-    A class of your own may come again under its name, as it does where a notebook's cell is run twice; the last one counts.
+    A user's class may be registered again under its name, as when a notebook's cell is run twice; the last one is used.
 
     Raises:
-        InputError: It is no effect that can be built, its name is no name or another effect's, or it is a cause and does not say
-            by which equation it acts and which motion reveals it.
+        InputError: It is not an effect that can be built, its name is invalid or another effect's, or it is a cause without the
+            equation of its force or the motion that reveals it.
     """
     name = getattr(effect, "name", None)
     if not (isinstance(effect, type) and issubclass(effect, Effect)) or isabstract(effect):
@@ -91,7 +91,7 @@ def register(effect: E) -> E:
 
 
 def _again(known: type[Effect], effect: type[Effect]) -> bool:
-    """Whether this is a class from outside once more, such as a notebook's cell that is run again."""
+    """Whether a user's class is registered again, such as by a notebook's cell that is run twice."""
     ours = known.__module__.startswith("tau_dyn.")
     return known is effect or (known.__qualname__ == effect.__qualname__ and not ours)
 
@@ -120,10 +120,10 @@ FRICTION_MODELS: dict[str, tuple[type[Effect], ...]] = {
 
 
 def build_friction_model(name: str, joints: Iterable[str], units: Iterable[str]) -> tuple[Effect, ...]:
-    """Return the effects that a friction model's name stands for, acting on these joints.
+    """Return the effects that a friction model's name denotes, acting on these joints.
 
     Raises:
-        UnknownName: The name is none of rigid, symmetric, asymmetric.
+        UnknownName: The name is not `rigid`, `symmetric` or `asymmetric`.
     """
     if name not in FRICTION_MODELS:
         raise UnknownName("friction model", name, FRICTION_MODELS)
@@ -137,7 +137,7 @@ def read_effects(rows: object, robot: Robot, where: str) -> tuple[Effect, ...]:
     Joints default to all actuated ones, settings to the effect's own defaults.
 
     Raises:
-        InputError: `where`, the file, has an entry that is no effect, or one that this robot cannot have.
+        InputError: `where`, the file, has an entry that is not an effect, or one that this robot cannot have.
     """
     if not isinstance(rows, list):
         raise InputError("file_format", f"{where}: 'effects' must be a list")
@@ -178,12 +178,12 @@ def _read_effect(row: object, robot: Robot, where: str) -> Effect:
 
 
 def acts_on_recording(effect: Effect) -> bool:
-    """Return whether an effect only distorts what is recorded, as a late force does; the robot moves as without it."""
+    """Return whether an effect only distorts the recording, as a late force does, and does not change the robot's motion."""
     return effect.measured or (isinstance(effect, DisplacementEffect) and not isinstance(effect, Hysteresis))
 
 
 def describe_missing_state(effect: Effect, given: Collection[str]) -> str:
-    """Return why a state `(q, v, a)` and the signals given do not determine an effect's force; empty where they do."""
+    """Return the reason why a state `(q, v, a)` and the given signals do not determine an effect's force; empty if they do."""
     if acts_on_recording(effect):
         return "it distorts what is recorded and leaves the robot's force as it is"
     missing = [name for name in effect.needs if name not in given]

@@ -1,7 +1,7 @@
 """Every cause that `diagnose` and `calibrate` can name: its law, its plausible range, the motion that reveals it.
 
-A cause of forces is an effect of the catalogue, or a parameter off its trusted nominal value; a cause of geometry changes
-where joints and frames are.
+A cause of forces is an effect of the catalogue, or a parameter that differs from its trusted nominal value; a cause of geometry
+changes the positions of joints and frames.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ PARAMETER_CAUSES = {
     "link_mass": "a link's mass differs from its nominal value",
     "force_scale": "tau_log = force_scale tau, of one joint",
 }
-"""Causes that only a trusted nominal value shows, with their equations; `drive_gain` is an effect, too."""
+"""Causes that are detected only by comparison with a trusted nominal value, with their equations; `drive_gain` is an effect,
+too."""
 CONVENTIONS = {
     "joint_sign": "q_real = -q",
     "joint_zero": "q_real = q + k pi / 2",
@@ -28,7 +29,7 @@ CONVENTIONS = {
     "inverse_poses": "the device in the target's frame, X_m = X^-1",
     "row_shift": "joints of row k belong to the pose of row k + n",
 }
-"""Conventions of a pose file that `calibrate` names and applies, with their equations: they have no parameter to fit."""
+"""Conventions of a pose file that `calibrate` names and applies, with their equations: they have no fitted parameter."""
 GEOMETRY_CAUSES = {
     **CONVENTIONS,
     "rod_length": "|A - B| = L + dL",
@@ -78,13 +79,13 @@ GEOMETRY_SENTENCES = {
     "inverse_poses": "The poses or orientations are inverse",
     "row_shift": "Joints and poses are shifted by rows",
 }
-"""The same as sentences."""
+"""The same causes as sentences."""
 
 
 class LoopCause(NamedTuple):
-    """A cause in a servo's loop: the law's entries that it frees, its own number first; its equation; what reveals it.
+    """A cause in a servo's loop: the law's entries that it frees, its own value first; its equation; the motion that reveals it.
 
-    `forms` are entries that are 0 or 1, of which the search takes the better.
+    `forms` are entries that are 0 or 1; the search takes the better value.
     """
 
     entries: tuple[str, ...]
@@ -142,7 +143,7 @@ LOOP_CAUSES = {
 
 
 def list_causes() -> list[dict[str, str]]:
-    """Return one row a cause and a command that names it: `cause`, `named_by`, `equation`, `range`, `revealed_by`.
+    """Return one row per cause and command that names it: `cause`, `named_by`, `equation`, `range`, `revealed_by`.
 
     Example:
         >>> laws = {row["cause"]: row["equation"] for row in reversed(td.list_causes())}

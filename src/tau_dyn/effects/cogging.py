@@ -1,8 +1,9 @@
 """A motor's cogging: a force that repeats a whole number of times in each turn of the motor.
 
-With the gear ratio n of the robot file (motor turns a turn of the joint, or radians a metre of a slide), order k has the period
-`2 pi / (n k)` of the joint. Orders are whole: pole pairs, slots, or their least common multiple. So the period is known exactly,
-where `cyclic_ripple` searches for it; without a ratio a cogging motor is named by that. Reference: Holtz & Springob 1996.
+With the gear ratio n of the robot file (motor turns per turn of the joint, or radians per metre of a slide), order k has the
+period `2 pi / (n k)` of the joint. Orders are whole: pole pairs, slots, or their least common multiple. So the period is known
+exactly, whereas `cyclic_ripple` searches for it; without a gear ratio a cogging motor is reported as `cyclic_ripple`.
+Reference: Holtz & Springob 1996.
 """
 
 from __future__ import annotations
@@ -55,6 +56,6 @@ class Cogging(CyclicRipple):
 
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
-        """Return that no gear ratio is known, where so."""
+        """Return that no gear ratio is known, if so."""
         why = "the robot file gives no gear ratio, so a period of the motor is one of the joint: cyclic_ripple names it"
         return None if any(scene.ratios.get(j) for j in scene.joints) else (why, cls.reveals)

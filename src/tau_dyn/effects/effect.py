@@ -1,14 +1,15 @@
-"""What every effect answers: its force per unit parameter along a motion, and what a person should know about it, in words.
+"""Interface of all effects: force per unit parameter along a motion, and a description for readers.
 
-An effect is written once and used three times. Identification asks for its columns at `sign(v)`, feedforward at a
-smoothed sign, and the simulator at +1 and -1, choosing between the two by whether the plant moves, sticks or reverses.
-An effect's force is what the *actuator* must add: `tau = rigid body + sum of effects`. Amplitudes are parameters, in which
-it is linear; what it is not linear in (a Stribeck speed, a ripple's period) are its `settings`, fixed in one instance.
+An effect is written once and used three times. Identification asks for its columns at `sign(v)`, feedforward at a smoothed
+sign, and the simulator at +1 and -1, choosing between the two according to whether the plant moves, sticks or reverses. An
+effect's force is the one that the *actuator* must add: `tau = rigid body + sum of effects`. Amplitudes are parameters, in which
+it is linear; quantities in which it is nonlinear (a Stribeck speed, a ripple's period) are its `settings`, fixed in one
+instance.
 
 Diagnosis tries effects that name a `cause` of the contract, on groups of joints (`groups`) and a grid of settings (`grid`). It
 confirms no amplitude outside of the plausible ranges, which each effect states with their source.
 
-Amounts stand as people say them: `1.80 ± 0.20 N`, `20.9 mm`, `0.52 ms`, with the standard error behind `±`.
+Amounts are formatted in readable units: `1.80 ± 0.20 N`, `20.9 mm`, `0.52 ms`, with the standard error after `±`.
 """
 
 from __future__ import annotations
@@ -39,16 +40,16 @@ _PREFIXES = {
 }
 
 NO_EXPERIMENT = "none: the robot lacks the part"
-"""What is said in the place of an experiment that would show an effect, where none can."""
+"""Text in place of the experiment that would show an effect, if no experiment can."""
 
 
 def format_amount(parameter: Parameter) -> str:
-    """Return a parameter's value with its standard error, where it has one, and its unit."""
+    """Return a parameter's value with its standard error, if it has one, and its unit."""
     return format_quantity(parameter.value, parameter.unit, parameter.stderr)
 
 
 def format_quantity(value: float, unit: str, stderr: float | None = None) -> str:
-    """Return a value [unit] to the digits that its standard error leaves, or to three."""
+    """Return a value [unit] with the digits that its standard error supports, or with three."""
     unit = "" if unit == "1" else unit
     scale, unit = _prefixed(max(abs(value), stderr or 0.0), unit)
     value = value / scale
@@ -77,14 +78,14 @@ def spell_unit(unit: str, force: str) -> str:
 
 
 def describe_one_sided(friction: str, half: Parameter) -> str:
-    """Return by how much a friction of one direction exceeds the other's, of which the parameter is half the difference."""
+    """Return the excess of one direction's friction over the other's; the parameter is half the difference."""
     way = "forward" if half.value >= 0 else "backward"
     more = format_quantity(2 * abs(half.value), half.unit, None if half.stderr is None else 2 * half.stderr)
     return f"{friction} {more} higher when moving {way} than the other way"
 
 
 def _prefixed(size: float, unit: str) -> tuple[float, str]:
-    """Return the factor and the unit that leave a number from one up, where there is one."""
+    """Return the factor and the unit for which a number is at least one, if there is such a unit."""
     rows = _PREFIXES.get(unit, ())
     return next((row for row in rows if size >= row[0]), rows[-1] if size > 0 and rows else (1.0, unit))
 
@@ -96,7 +97,7 @@ REFERENCES = {
     "force": "the joint's largest force",
     "inertia": "the joint's inertia",
 }
-"""What a bound may be a share of, in words; `diagnose` measures them on the fitted model."""
+"""Quantities of which a bound may be a share, in words; `diagnose` computes them from the fitted model."""
 
 
 @dataclass(frozen=True)
@@ -104,12 +105,12 @@ class PlausibleRange:
     """The range of one amplitude.
 
     Attributes:
-        quantity: What the parameter's name says after the joint, without a number, wave or axis behind it.
+        quantity: The parameter's name after the joint, without a final number, wave or axis.
         low: Lower bound, in the unit or as a share of the reference.
         high: Upper bound.
-        unit: Unit that it holds for, such as `m` or `rad`, as parameters have it; empty for any.
-        of: What the bounds are shares of, one of `REFERENCES`; empty for SI units.
-        setting: Whether it is that of a setting and no parameter's.
+        unit: Unit for which it holds, such as `m` or `rad`, as in parameters; empty for any.
+        of: Reference of which the bounds are shares, one of `REFERENCES`; empty for SI units.
+        setting: Whether it is the range of a setting, not of a parameter.
     """
 
     quantity: str
@@ -124,7 +125,7 @@ class PlausibleRange:
         return (name == self.quantity or name.startswith(f"{self.quantity}_")) and self.unit in ("", unit)
 
     def bounds(self, joint: str, scales: JointScales) -> tuple[float, float]:
-        """Return both bounds for a joint in SI units; infinite where the reference is not known."""
+        """Return both bounds for a joint in SI units; infinite if the reference is unknown."""
         if not self.of:
             return self.low, self.high
         size = scales.get(joint, {}).get(self.of)
@@ -161,40 +162,40 @@ def _share(x: float) -> str:
 
 
 MAX_TERMS = 1000
-"""Terms that an effect may have on a joint; a file that asks for 10^9 of them would be read for ever."""
+"""Largest number of terms of an effect on a joint; a file with 10^9 of them would never be read completely."""
 
 
 class Effect(ABC):
     """A force that the rigid model leaves out, linear in its parameters.
 
     Attributes:
-        name: How model files call it; for an effect with a cause, the cause's name.
-        equation: The law in one line, for people.
+        name: Name in model files; for an effect with a cause, the cause's name.
+        equation: The law in one line, for readers.
         joints: The actuated joints it acts on.
         units: The joints' force units, 'N' or 'N m', by joint.
-        settings: What it is not linear in; name -> value in SI units.
-        label: What its parameters' names end in, so that two instances on one joint differ; mostly empty.
+        settings: Quantities in which it is nonlinear; name -> value in SI units.
+        label: Suffix of its parameters' names, so that two instances on one joint differ; mostly empty.
         cause: Whether diagnosis may name it (its name is then one of the contract's causes).
-        reference: Where the equation comes from.
-        reveals: The motion or recording that shows it, for people.
+        reference: Source of the equation.
+        reveals: The motion or recording that shows it, for readers.
         mistaken_for: Causes that it is easily confused with.
-        equivalent: Causes that no data of this kind can tell from it.
-        needs: Signals of the motion that it feels.
-        nonnegative: Whether only amplitudes from zero up make sense (a Stribeck term of the other sign is not one).
-        plausible: The ranges that its amplitudes lie in on real machines; nothing outside of them is confirmed.
+        equivalent: Causes that no data of this kind can distinguish from it.
+        needs: Signals of the motion that it depends on.
+        nonnegative: Whether only amplitudes from zero up are meaningful (a Stribeck term of the other sign is not one).
+        plausible: Ranges of its amplitudes on real machines; no amplitude outside of them is confirmed.
         refined: Settings that diagnosis adjusts beyond its grid.
-        matched: Setting -> the only amplitude, that it agrees with at the solution; diagnosis fits them as one number.
-        confirmed_as: Status of a finding that held-out data confirm; `parameter` where it corrects a number of the robot file.
+        matched: Setting -> the only amplitude, which equals it at the solution; diagnosis fits them as one number.
+        confirmed_as: Status of a finding that held-out data confirm; `parameter` if it corrects a number of the robot file.
         open_ends: Setting -> `low`, `high` or `both`: ends of its grid beyond which the true value may lie.
         defaults: Name -> value of each setting.
-        setting_units: Name -> unit of each setting; V stands for the speed unit, Q for that of the position.
+        setting_units: Name -> unit of each setting; V denotes the speed unit, Q that of the position.
         positive: Settings that must be above zero.
         whole: Settings that count something, from one up.
         speed_law: Whether its force on a joint is an odd function of that joint's speed alone.
-        grows: A setting that counts terms, of which more are tried where one was found; empty for none.
-        felt_by_all: Whether it changes the forces of all joints, so that its gain is theirs.
-        shared_by_joints: Whether joints cannot have amplitudes of their own, as the recording has one for all.
-        special: The cause that is this law with less freedom, and is named where data do not tell them apart; mostly empty.
+        grows: A setting that counts terms; more are tried if one was found; mostly empty.
+        felt_by_all: Whether it changes the forces of all joints, so that its gain is computed over all of them.
+        shared_by_joints: Whether joints cannot have separate amplitudes, as the recording has one for all.
+        special: The cause that is this law with less freedom; it is named if data do not distinguish the two; mostly empty.
         dense: Whether its grid is so fine that it is first tried on decimated motion; it then has `local_frequency`.
     """
 
@@ -237,12 +238,12 @@ class Effect(ABC):
         self.settings: dict[str, float] = {**self.defaults, **{k: float(x) for k, x in settings.items()}}
 
     def __repr__(self) -> str:
-        """Return a line: what acts where, with which settings."""
+        """Return a line with the effect, its joints and its settings."""
         given = [*self.joints, *(f"{key}={value:g}" for key, value in self.settings.items())]
         return f"{type(self).__name__}({', '.join(given)})"
 
     def _fault_of_setting(self, key: str, value: float) -> str:
-        """Return what is wrong with a setting; empty where nothing is."""
+        """Return the error of a setting; empty if it is valid."""
         if key not in self.defaults:
             return f"effect {self.name} has no setting '{key}'; it has {', '.join(self.defaults) or 'none'}"
         fault = ""
@@ -268,26 +269,26 @@ class Effect(ABC):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return the settings worth trying on these joints; none where the motion cannot show the effect."""
+        """Return the settings to try on these joints; an empty list if the motion cannot show the effect."""
         return [{}]
 
     @classmethod
     def propose(cls, scene: Scene, joints: tuple[str, ...]) -> float | None:
-        """Return the value of its matched setting that a fit of the whole baseline proposes; None where there is none."""
+        """Return the value of its matched setting that a fit of the whole baseline proposes, or None."""
         return None
 
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
-        """Return why this motion cannot show the effect and the experiment that would, or None where it can.
+        """Return the reason why this motion cannot show the effect and the experiment that would, or None if it can.
 
-        The experiment is `NO_EXPERIMENT` where the robot lacks the part.
+        The experiment is `NO_EXPERIMENT` if the robot lacks the part.
         """
         missing = [name for name in cls.needs if name not in scene.signals]
         return (f"the logs give no {missing[0]}", cls.reveals) if missing else None
 
     @classmethod
     def explain_absorbed(cls, joints: tuple[str, ...], is_felt: bool) -> str:
-        """Return why the baseline leaves nothing of the effect on these joints, as a clause; empty where no reason is known.
+        """Return the reason why the baseline absorbs the effect on these joints, as a clause; empty if no reason is known.
 
         Args:
             joints: The joints.
@@ -296,11 +297,11 @@ class Effect(ABC):
         return ""
 
     def find_implausible(self, parameters: Parameters, scales: JointScales, margin: float = 1.0) -> str:
-        """Return what lies outside its plausible range, as a phrase; empty where all lie within.
+        """Return the amplitudes outside their plausible range, as a phrase; empty if all are within.
 
         Args:
             parameters: Its parameters at fitted values.
-            scales: What shares are taken of; see `PlausibleRange`.
+            scales: Values of the references of shares; see `PlausibleRange`.
             margin: Factor by which the ranges are widened.
         """
         for p in parameters.select(self.parameters.names):
@@ -320,16 +321,16 @@ class Effect(ABC):
         return ""
 
     def find_limit_law(self, scene: Scene) -> Effect | None:
-        """Return the law that the effect becomes beyond the open end of its grid; None where there is none."""
+        """Return the law that the effect becomes beyond the open end of its grid, or None."""
         return None
 
     def lookalikes(self) -> list[Effect]:
-        """Return laws without a name, with as many terms, that must explain less for this one to be named."""
+        """Return unnamed laws with the same number of terms, which must explain less for this one to be named."""
         return []
 
     @property
     def measured(self) -> bool:
-        """Whether it distorts what is recorded (a delay, an encoder's error) and leaves the robot's motion alone."""
+        """Whether it distorts the recording (a delay, an encoder's error) and does not change the robot's motion."""
         return False
 
     @property
@@ -346,16 +347,16 @@ class Effect(ABC):
         return self.columns(motion) @ parameters.select(self.parameters.names).values
 
     def describe(self, parameters: Parameters) -> str:
-        """Return the effect at these values in words, with units and standard errors where they are known."""
+        """Return the effect at these values in words, with units and known standard errors."""
         found = ", ".join(f"{p.name} = {format_amount(p)}" for p in parameters.select(self.parameters.names))
         return f"{self.name.replace('_', ' ')}: {found}"
 
     def other_speeds(self, motion: Motion) -> list[tuple[np.ndarray, list[int]]]:
-        """Return speeds (N,) beyond the joints' own whose sign it uses, each with the joints' indices it acts on."""
+        """Return speeds (N,) other than the joints' own whose sign it uses, each with the indices of the joints it acts on."""
         return []
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what a model file keeps: name, joints and settings; values stand with the parameters."""
+        """Return the entries of a model file: name, joints and settings; values are kept with the parameters."""
         more = {"settings": dict(self.settings), "label": self.label}
         return {"effect": self.name, "joints": list(self.joints), **{k: x for k, x in more.items() if x}}
 
@@ -371,7 +372,7 @@ class Effect(ABC):
 
 @contextmanager
 def name_effect_in_errors(effect: Effect) -> Iterator[None]:
-    """Name an effect in what is said while it is asked; a motion that lacks a signal does not know who wants it."""
+    """Add an effect's name to errors raised while it is evaluated; a motion does not know which effect needs its signals."""
     try:
         yield
     except InputError as fault:

@@ -1,12 +1,12 @@
 """Friction of the drives as a law of the joint's own speed: Coulomb and viscous, one-sided, and curves over the speed.
 
 A one-sided friction is half the difference of both directions' coefficients; that of Coulomb friction is a constant force, so
-data never tell it from `torque_offset`. Where the sign is smoothed, the two directions' laws are mixed in proportion. A Stribeck
-power is 1 in some texts and 2 in others; a setting here. The viscous curvature is in proportion to the speed well below the knee
-and to its `power` well above it: the Carreau law of a lubricant that thins (power below 1; at 0 it levels off) or of drag that
-sets in (power 1.5). Where the knee is beyond the speeds seen the law is a parabola. Reference: Dressler 2012, (6.8)-(6.9) and
-Table 6.1; Khalil & Dombre 2002, 9.6; Stribeck 1902; Armstrong-Helouvry, Dupont & Canudas de Wit 1994; Carreau 1972; Bair & Winer
-1979 and Bittencourt & Gunnarsson 2012 for geared joints.
+data never distinguish it from `torque_offset`. If the sign is smoothed, the two directions' laws are mixed in proportion. A
+Stribeck power is 1 in some texts and 2 in others; here it is a setting. The viscous curvature is proportional to the speed well
+below the knee and to its `power` well above it: the Carreau law of a shear-thinning lubricant (power below 1; at 0 it levels
+off) or of drag that sets in (power 1.5). If the knee is beyond the measured speeds, the law is a parabola. Reference: Dressler
+2012, (6.8)-(6.9) and Table 6.1; Khalil & Dombre 2002, 9.6; Stribeck 1902; Armstrong-Helouvry, Dupont & Canudas de Wit 1994;
+Carreau 1972; Bair & Winer 1979 and Bittencourt & Gunnarsson 2012 for geared joints.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class SymmetricFriction(JointwiseEffect):
 
 
 class AsymmetricFriction(JointwiseEffect):
-    """Coulomb and viscous friction with coefficients of its own in each direction."""
+    """Coulomb and viscous friction with separate coefficients for each direction."""
 
     name = "asymmetric_friction"
     equation = "tau = coulomb_pos + viscous_pos v (v > 0), -coulomb_neg + viscous_neg v (v < 0)"
@@ -43,11 +43,11 @@ class AsymmetricFriction(JointwiseEffect):
     nonnegative = True
 
     def lower(self, quantity: str) -> float:
-        """Return the smallest admissible value: none of a Coulomb value, whose sum with the other one is bounded instead."""
+        """Return the lower bound of a value; -inf for a Coulomb value, whose sum with the other one is bounded instead."""
         return -np.inf if quantity.startswith("coulomb") else 0.0
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
-        """Return each direction's law, weighted by how much the joint moves that way."""
+        """Return each direction's law, weighted by the share of motion in that direction."""
         forward, backward = (1 + joint.sign) / 2, (1 - joint.sign) / 2
         return [forward, -backward, joint.v * forward, joint.v * backward]
 
@@ -91,7 +91,7 @@ class CoulombAsymmetry(JointwiseEffect):
         return [np.ones_like(joint.v)]
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return how much more Coulomb friction one direction has."""
+        """Return the excess of Coulomb friction in one direction."""
         return describe_one_sided("Coulomb friction", values["coulomb_asymmetry"])
 
 
@@ -113,12 +113,12 @@ class ViscousAsymmetry(JointwiseEffect):
         return [np.abs(joint.v)]
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return how much more viscous friction one direction has."""
+        """Return the excess of viscous friction in one direction."""
         return describe_one_sided("viscous friction", values["viscous_asymmetry"])
 
 
 _POWERS = {1.0: 1.0, 2.0: 3**0.5}
-"""Powers tried, and how many times the speed makes the peak about as wide as with the first."""
+"""Powers tried, each with the factor of the speed for which the peak is about as wide as with the first."""
 
 
 class Stribeck(JointwiseEffect):
@@ -146,7 +146,7 @@ class Stribeck(JointwiseEffect):
         return [joint.sign * np.exp(-((np.abs(joint.v) / self.settings["speed"]) ** self.settings["power"]))]
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return the peak and where 5 % of it are left."""
+        """Return the peak and the speed at which 5 % of it remain."""
         gone = format_quantity(
             3 ** (1 / self.settings["power"]) * self.settings["speed"], spell_unit("V", self.units[joint])
         )
@@ -154,13 +154,13 @@ class Stribeck(JointwiseEffect):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return speeds from half the slowest that is seen up to a third of the fast ones, a factor 1.6 apart, with both powers.
+        """Return speeds from half the slowest measured one to a third of the fast ones, in factors of 1.6, with both powers.
 
-        What decays with the square of the speed is as wide at 1.7 times the speed.
+        A law that decays with the square of the speed is equally wide at 1.7 times the speed.
         """
         k = scene.index(joints[0])
         low, high = 0.5 * scene.slow[k], scene.fast[k] / 3
-        if not 0 < low < high:  # zero: a joint that stands still
+        if not 0 < low < high:  # zero: a joint at rest
             return []
         count = 1 + int(np.ceil(np.log(high / low) / np.log(1.6)))
         speeds = np.geomspace(low, high, count)
@@ -168,7 +168,7 @@ class Stribeck(JointwiseEffect):
 
 
 class QuadraticDrag(JointwiseEffect):
-    """A force against the motion, of the speed squared."""
+    """A force against the motion, proportional to the speed squared."""
 
     name = "quadratic_drag"
     cause = True
@@ -189,18 +189,18 @@ class QuadraticDrag(JointwiseEffect):
 
 
 _MEMORY_PERIODS = 4.0
-"""Periods of the low-pass' cutoff over which a step is smeared, two to each side."""
+"""Periods of the low-pass' cutoff over which a step is smoothed, two to each side."""
 _KNEE_AT_SPEED = 0.2
-"""Share of the fast speeds from which a knee is seen at speed, whatever happens at starts and reversals."""
+"""Share of the fast speeds from which a knee is observable at speed, independent of starts and reversals."""
 PARABOLA = 2.0
-"""Power that denotes the law without a knee to be found: the parabola `x (2 - x)` that levels off at its knee, the top speed."""
+"""Power that denotes the law without a fitted knee: the parabola `x (2 - x)` that levels off at its knee, the top speed."""
 _KNEES = {0.0: (0.04, 0.1, 0.25, 0.6), 0.5: (0.03, 0.1), 1.5: (0.1,)}
-"""Power -> knees tried, as shares of the fast speeds. Beyond them the law is a straight line or a step, which the baseline has;
-of a power 0.5 with a knee further up the curve is that of power 0."""
+"""Power -> knees tried, as shares of the fast speeds. Beyond them the law is a straight line or a step, which the baseline
+contains; a power of 0.5 with a higher knee has the same curve as power 0."""
 
 
 class ViscousCurvature(JointwiseEffect):
-    """Friction whose growth with speed levels off or speeds up."""
+    """Friction whose growth with speed decreases or increases."""
 
     name = "viscous_curvature"
     cause = True
@@ -210,7 +210,7 @@ class ViscousCurvature(JointwiseEffect):
     reference = "Carreau 1972; Bittencourt & Gunnarsson 2012"
     reveals = "constant-speed strokes at ten speeds or more up to the highest, in both directions"
     mistaken_for = ("quadratic_drag", "stribeck", "thermal_drift", "viscous_asymmetry")
-    # Of geared joints at speed all friction is less than the largest force; the viscous part is up to all of it
+    # The friction of geared joints at speed is less than the largest force; the viscous part is up to all of it
     plausible = (PlausibleRange("viscous_curvature", 0.0, 1.0, of="force"),)
     quantities = (("viscous_curvature", "F"),)
     nonnegative = True
@@ -224,7 +224,8 @@ class ViscousCurvature(JointwiseEffect):
     def __init__(self, joints: Iterable[str], units: Iterable[str], *, label: str = "", **settings: float) -> None:
         """Let the friction act on these joints; see `Effect.__init__`.
 
-        A low knee of a power other than zero is no edge: below it the law is the plain power. A parabola's knee is given.
+        A low knee of a power other than zero is not an edge: the law then is the plain power of the speed. A parabola's knee is
+        given.
         """
         super().__init__(joints, units, label=label, **settings)
         if self.settings["power"] == PARABOLA:
@@ -241,7 +242,7 @@ class ViscousCurvature(JointwiseEffect):
         return [joint.sign * x * (1 + x**2) ** ((self.settings["power"] - 1) / 2)]
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return the part of the friction that is not in proportion to the speed, and from which speed."""
+        """Return the part of the friction that is not proportional to the speed, and the speed from which it acts."""
         how, knee = "more" if self.settings["power"] > 1 else "less", self.setting("knee", joint)
         size = format_amount(values["viscous_curvature"])
         if self.settings["power"] == PARABOLA:
@@ -249,16 +250,16 @@ class ViscousCurvature(JointwiseEffect):
         return f"viscous friction of {size} that grows {how} than the speed does above {knee}"
 
     def find_limit_law(self, scene: Scene) -> ViscousCurvature | None:
-        """Return the parabola that levels off at the fast speeds: `-v |v|` and viscous friction, growing over all speeds seen."""
+        """Return the parabola that levels off at the fast speeds: `-v |v|` and viscous friction, growing over all speeds."""
         fast = float(scene.fast[scene.index(self.joints[0])])
         return self.with_settings(power=PARABOLA, knee=fast) if self.settings["power"] < 1 and fast > 0 else None
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return knees below the fast speeds for each power; none for a joint that stands still.
+        """Return knees below the fast speeds for each power; an empty list for a joint at rest.
 
         Friction that levels off to a constant (power 0) at a low knee differs from Coulomb friction at starts and reversals
-        alone. Where those pass it within the low-pass' memory, it is not told from their own transient.
+        alone. If the speed passes the knee within the low-pass' memory, it cannot be distinguished from their own transient.
         """
         k = scene.index(joints[0])
         fast, least = float(scene.fast[k]), 0.0

@@ -1,4 +1,4 @@
-"""Effects that move a cart where its encoder does not look: the end of its rod is not where the guideway says.
+"""Displacements of a cart that its encoder does not measure: the end of its rod is not on the nominal guideway.
 
     T = T(q) + sum_i S_i u_i @ parameters
 
@@ -6,14 +6,16 @@
     guideway_compliance    u = guideway_compliance F, F the force across the guideway (3,) [N]
     cart_tilt              u = angle(q) x lever = tilt_sin sin(2 pi q / period) + tilt_cos cos(2 pi q / period)
 
-with `u_i` the displacement of cart i [m] in base axes and `S_i` what the tool makes of it (`Mechanism.cart_sensitivity`; of
-`u_i` only the part along the rod counts). Only a measured tool shows them: what micrometres change of forces is left out.
+with `u_i` the displacement of cart i [m] in base axes and `S_i` the sensitivity of the tool to it
+(`Mechanism.cart_sensitivity`; only the part of `u_i` along the rod matters). Only a measured tool shows them: the change of
+forces by micrometres is neglected.
 
-A guideway's turn along itself is none, and a scale along it is `pinion_scale`. `F` comes from the model's masses
-(`Mechanism.guide_force`); the cart's own weight is constant and belongs to the guideway's position. Of a tilt tool positions show
-only the product of angle and lever; a constant angle is part of the guideway's place, one that grows with q a skew guideway, and
-waves shorter than a quarter of the travel are `transmission_error`. A crooked guideway displaces the rod's end just so: only a
-measured orientation of the cart, or a second rod on it, tells them apart. Reference: Dressler 2012, 4.1, 4.2, 5.2 and 5.3.
+A turn of a guideway about its own direction has no effect, and a scale along it is `pinion_scale`. `F` comes from the model's
+masses (`Mechanism.guide_force`); the cart's own weight is constant and belongs to the guideway's position. Tool positions show
+only the product of angle and lever of a tilt; a constant angle is part of the guideway's position, one that grows with q is a
+skew guideway, and waves shorter than a quarter of the travel are `transmission_error`. A guideway that is not straight
+displaces the rod's end in the same way: only a measured orientation of the cart, or a second rod on it, distinguishes them.
+Reference: Dressler 2012, 4.1, 4.2, 5.2 and 5.3.
 """
 
 from __future__ import annotations
@@ -59,7 +61,7 @@ class CartShift(DisplacementEffect, JointParameters):
 
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
-        """Return that a measured tool is missing, or carts, where so."""
+        """Return that a measured tool or carts are missing, if so."""
         if not cls.groups(scene):
             return "the robot has no carts", NO_EXPERIMENT
         return None if SENSITIVITY in scene.signals else ("no measured tool positions are looked at here", cls.reveals)
@@ -70,7 +72,7 @@ GUIDE_ACROSS = "guide_across"
 
 
 class GuidewayNonparallel(CartShift):
-    """Displacement across the guideway in proportion to the way along it."""
+    """Displacement across the guideway proportional to the travel along it."""
 
     name = "guideway_nonparallel"
     cause = True
@@ -78,14 +80,14 @@ class GuidewayNonparallel(CartShift):
     reference = "Dressler 2012, 4.1 and 5.2"
     reveals = "tool positions measured over each guideway's whole length, with the rods at many angles"
     mistaken_for = ("pinion_scale", "guideway_not_straight", "cart_tilt", "transmission_error", "rod_length")
-    # Guideways are laid to 0.1 to 5 mrad; 20 mrad are 2 cm in a metre, which an eye sees
+    # Guideways are aligned to 0.1 to 5 mrad; 20 mrad are 2 cm in a metre, which is visible
     plausible = (PlausibleRange("direction", -0.02, 0.02, "rad"),)
     needs = (SENSITIVITY, GUIDE_ACROSS)
     quantities = (("direction_y", "rad"), ("direction_z", "rad"))
     sentence = "the guideway is off its direction by {direction_y} and {direction_z}"
 
     def shift(self, motion: Motion) -> np.ndarray:
-        """Return the way along both directions as that cart's displacement per unit (N, na, 3, p)."""
+        """Return the travel along both directions as that cart's displacement per unit (N, na, 3, p)."""
         across = motion.signal(GUIDE_ACROSS)
         out = np.zeros((*motion.q.shape, 3, 2 * len(self.joints)))
         for k, index in enumerate(self._indices(motion)):
@@ -99,7 +101,7 @@ SIDE_FORCE = "side_force"
 
 
 class GuidewayCompliance(CartShift):
-    """Displacement across the guideway in proportion to the load across it."""
+    """Displacement across the guideway proportional to the load across it."""
 
     name = "guideway_compliance"
     cause = True
@@ -109,7 +111,7 @@ class GuidewayCompliance(CartShift):
         "tool positions measured over the whole workspace, with the links at many angles, and once with a known payload"
     )
     mistaken_for = ("cart_tilt", "guideway_not_straight", "rod_length")
-    # Linear guides have 0.01 to 2 um/N; a light frame yields ten times more
+    # Linear guides have 0.01 to 2 um/N; a light frame has ten times more
     plausible = (PlausibleRange("guideway_compliance", 0.0, 2e-5, "m/N"),)
     needs = (SENSITIVITY, SIDE_FORCE)
     nonnegative = True
@@ -135,7 +137,7 @@ _WAVES = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0)  # over the travel
 
 
 class CartTilt(CartShift):
-    """Displacement of a rod's end that waves slowly along the guideway."""
+    """Displacement of a rod's end that varies slowly along the guideway."""
 
     name = "cart_tilt"
     cause = True
@@ -162,7 +164,7 @@ class CartTilt(CartShift):
         return out
 
     def describe(self, parameters: Parameters) -> str:
-        """Return the size of the wave and its length."""
+        """Return the amplitude of the wave and its length."""
         period = format_quantity(self.settings["period"], "m")
         said = []
         for joint in self.joints:

@@ -2,17 +2,17 @@ r"""An encoder whose zero differs from the robot file's by an angle or a length.
 
     q_log = q + joint_zero,     tau_log = rigid body(q_log - joint_zero, v, a) + friction(v)
 
-The force is not linear in the zero, so it is stated near a setting `about`, as in `timing.py`:
+The force is not linear in the zero, so it is linearised near a setting `about`, as in `timing.py`:
 
     tau = rigid body(q_log) + joint_zero (rigid body(q_log - about) - rigid body(q_log)) / about
 
-is exact where both agree, and diagnosis fits them as one number. The rigid body's force at displaced positions comes as a
-signal, its change at four shifts of each joint. Between them the law of a tree is interpolated exactly: of a hinge's position
-its force is a trigonometric polynomial of degree two, of a slide's a polynomial of degree two.
+is exact where both agree, and diagnosis fits them as one number. The rigid body's force at displaced positions is a signal: its
+change at four shifts of each joint. Between them the law of a tree is interpolated exactly: its force is a trigonometric
+polynomial of degree two in a hinge's position, and a polynomial of degree two in a slide's.
 
 Two zeros are not identifiable from forces, and diagnosis lists their joints. No force depends on the position of a first joint
-about a vertical axis. The zero of a joint whose links are free to have any first moments and inertias is an exact alias of
-these: the last joint's of its centre of mass. Reference: Khalil & Dombre 2002, 9.4; Hollerbach, Khalil & Gautier 2016, 6.2.
+about a vertical axis. The zero of a joint whose links have free first moments and inertias is an exact alias of these: the last
+joint's zero is one of its centre of mass. Reference: Khalil & Dombre 2002, 9.4; Hollerbach, Khalil & Gautier 2016, 6.2.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class JointZero(JointParameters, DisplacementEffect):
     reference = "Khalil & Dombre 2002, 9.4; Hollerbach, Khalil & Gautier 2016, 6.2"
     reveals = "slow motion of all joints together with a weighed payload, its mass fixed by --fix; or a tool measured at poses"
     mistaken_for = ("gravity_direction", "link_mass", "payload", "drive_gain")
-    # Encoders are remounted by some mrad, belts jump by teeth of up to 0.2 rad; more is another convention of the angles
+    # Remounted encoders are off by some mrad, belts jump by teeth of up to 0.2 rad; more is another convention of the angles
     plausible = tuple(build_slide_and_hinge_ranges("joint_zero", "Q", (-0.1, -0.6), (0.1, 0.6)))
     needs = (SHIFTED_FORCE,)
     quantities = (("joint_zero", "Q"),)
@@ -84,7 +84,7 @@ class JointZero(JointParameters, DisplacementEffect):
 
     @property
     def measured(self) -> bool:
-        """The encoder's reading is off, and not the robot."""
+        """The encoder's reading is wrong, not the robot's position."""
         return True
 
     def displacement(self, motion: Motion) -> np.ndarray:
@@ -102,20 +102,20 @@ class JointZero(JointParameters, DisplacementEffect):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return the zero that fits the whole baseline best and one to either side of it."""
+        """Return the zero that fits the whole baseline best and one on each side of it."""
         zero = scene.zeros.get(joints[0], 0.0)
         about = zero if abs(zero) > MIN_ABOUT else MIN_ABOUT
         return [{"about": share * about} for share in (0.75, 1.0, 1.25)]
 
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
-        """Return why forces do not show it; where the tool is measured, the baseline refits every zero."""
+        """Return the reason why forces do not show it; if the tool is measured, the baseline refits every zero."""
         missing = cls.needs[0] not in scene.signals
         return ("the logs give no forces of a known robot", cls.reveals) if missing else None
 
     @classmethod
     def explain_absorbed(cls, joints: tuple[str, ...], is_felt: bool) -> str:
-        """Return why the baseline leaves nothing of the zero of these joints: no force depends on it, or bodies replace it."""
+        """Return the reason why the baseline absorbs the zero of these joints: no force depends on it, or bodies replace it."""
         if not is_felt:
             return f"no force depends on the position of {joints[0]}"
         return f"the zero of {joints[0]} is an exact alias of the centre of mass and inertia of the bodies it moves"

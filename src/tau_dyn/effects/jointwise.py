@@ -1,13 +1,13 @@
-"""Effects laid out joint by joint, and those that come between an encoder and its load: it is not where the encoder says.
+"""Effects with separate columns for each joint, and effects between an encoder and its load, which change the reading.
 
     deflection = encoder - load = displacement @ parameters,     q_load = q - deflection
 
-Positive: the load stays behind, as a spring's under a positive force. In the force channel the load moves by
-`a - deflection''`, `v - deflection'` and weighs as at `q_load`, so the actuator adds
+A positive deflection: the load lags behind, as on a spring under a positive force. In the force channel the load moves by
+`a - deflection''`, `v - deflection'` and its weight acts at `q_load`, so the actuator adds
 `tau = -M(q) deflection'' - D deflection' - dg/dq deflection` with `D` the growth of friction with speed; in the tool channel the
-tool is at `T(q_load) = T(q) - J deflection`. Both are first order in a deflection of micrometres; what `M` changes over it is
-left out. The second derivative is numerical, on a motion's even clock: without one (a single simulator step, poses held still)
-there is no force. The simulator adds effects of what the encoder reads to the recorded position.
+tool is at `T(q_load) = T(q) - J deflection`. Both are first order in a deflection of micrometres; the change of `M` over it is
+neglected. The second derivative is numerical, on a motion's even clock: without one (a single simulator step, static poses) there
+is no force. The simulator adds errors of the encoder's reading to the recorded position.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from tau_dyn.parameters import Parameter, Parameters
 
 
 class JointParameters(Effect):
-    """An effect with the same parameters for each of its joints, and words for each."""
+    """An effect with the same parameters, and the same description, for each of its joints."""
 
     quantities: ClassVar[tuple[tuple[str, str], ...]]
     """Name and unit, with F for the force unit, V for the speed unit and Q for the position's."""
     sentence: ClassVar[str] = ""
-    """What is said of a joint, with its quantities in braces, shares in per cent; empty for their names and amounts."""
+    """Description for a joint, with its quantities in braces, shares in per cent; empty for their names and amounts."""
 
     @property
     def terms(self) -> tuple[tuple[str, str], ...]:
-        """Its quantities and their units; a subclass whose settings say how many there are answers for itself."""
+        """Its quantities and their units; a subclass whose settings determine their number overrides this property."""
         return self.quantities
 
     @property
@@ -48,11 +48,11 @@ class JointParameters(Effect):
         return Parameters(rows)
 
     def lower(self, quantity: str) -> float:
-        """Return the smallest admissible value; zero where only amplitudes from zero up make sense."""
+        """Return the smallest admissible value; zero if only amplitudes from zero up are meaningful."""
         return 0.0 if self.nonnegative else -np.inf
 
     def describe(self, parameters: Parameters) -> str:
-        """Return the effect at these values in words, joint by joint where there are several."""
+        """Return the effect at these values in words, joint by joint if there are several."""
         said = []
         for joint in self.joints:
             values = {name: parameters[f"{joint}.{name}{self.label}"] for name, _ in self.terms}
@@ -60,7 +60,7 @@ class JointParameters(Effect):
         return "; ".join(said)
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return what `describe` says of one joint, whose parameters are given by quantity."""
+        """Return the text of `describe` for one joint, whose parameters are given by quantity."""
         if not self.sentence:
             return " and ".join(f"{name.replace('_', ' ')} of {format_amount(p)}" for name, p in values.items())
         said = {name: format_percent(p) if p.unit == "1" else format_amount(p) for name, p in values.items()}
@@ -74,7 +74,7 @@ class JointParameters(Effect):
 class JointwiseEffect(JointParameters):
     """An effect that acts on each of its joints by that joint's own motion.
 
-    A subclass says its quantities and their force per unit parameter; this class lays the columns out joint by joint.
+    A subclass defines its quantities and their force per unit parameter; this class arranges the columns joint by joint.
     """
 
     @abstractmethod
@@ -84,18 +84,18 @@ class JointwiseEffect(JointParameters):
     def columns(self, motion: Motion) -> np.ndarray:
         """Return force per unit parameter (N, na, p)."""
         n, (N, na) = len(self.terms), motion.v.shape
-        out = np.zeros_like(motion.v, shape=(na, n * len(self.joints), N))  # samples last, as filters like them
+        out = np.zeros_like(motion.v, shape=(na, n * len(self.joints), N))  # samples last, for fast filters
         for k, index in enumerate(self._indices(motion)):
             for m, column in enumerate(self.per_joint(JointMotion.of(motion, index))):
                 out[index, n * k + m] = column
         return out.transpose(2, 0, 1)
 
 
-_MIN_SAMPLES = 5  # samples that a derivative of fourth order takes
+_MIN_SAMPLES = 5  # samples of a fourth-order derivative
 
 
 class DisplacementEffect(Effect):
-    """An effect stated as what the encoder reads beyond the load's position, linear in its parameters."""
+    """An effect given as the encoder's reading minus the load's position, linear in its parameters."""
 
     needs = ("inertia", "damping", "weight_gradient")
 
@@ -104,10 +104,10 @@ class DisplacementEffect(Effect):
         """Return encoder minus load per unit parameter (N, na, p) [m or rad] along a motion."""
 
     def columns(self, motion: Motion) -> np.ndarray:
-        """Return force per unit parameter (N, na, p); none without a clock."""
+        """Return force per unit parameter (N, na, p); zero without a clock."""
         made = self.displacement(motion)
         N, na, p = made.shape
-        force = np.zeros((na, p, N))  # samples last: sums over them are long, and filters like it
+        force = np.zeros((na, p, N))  # samples last, for fast sums and filters
         speeds = [differentiate_columns(made[:, k], motion.t) for k in self._indices(motion)]
         if any(speed.any() for speed in speeds):
             for k, speed in zip(self._indices(motion), speeds, strict=True):
@@ -131,7 +131,7 @@ class DisplacementEffect(Effect):
 def subtract_load_force(
     force: np.ndarray, motion: Motion, k: int, displacement: np.ndarray, speed: np.ndarray, acceleration: np.ndarray
 ) -> None:
-    """Take off forces (na, p, N) what the load of joint `k` needs for its displacement, speed and acceleration (N, p)."""
+    """Subtract from forces (na, p, N) those for the displacement, speed and acceleration (N, p) of the load of joint `k`."""
     inertia, gradient, damping = (motion.signal(name) for name in ("inertia", "weight_gradient", "damping"))
     made, moved = np.ascontiguousarray(displacement.T), np.ascontiguousarray(acceleration.T)
     force[k] -= damping[:, k] * speed.T
@@ -140,9 +140,9 @@ def subtract_load_force(
 
 
 def differentiate_columns(x: np.ndarray, t: np.ndarray | None) -> np.ndarray:
-    """Return the time derivative of (N, ...) on an even clock (N,) [s], as positions are differentiated.
+    """Return the time derivative of (N, ...) on an even clock (N,) [s], by the same rule as for positions.
 
-    Zeros without a clock or of too few samples.
+    Zero without a clock or for too few samples.
     """
     if t is None or len(t) < _MIN_SAMPLES or not np.any(x):
         return np.zeros(x.shape)
@@ -152,14 +152,14 @@ def differentiate_columns(x: np.ndarray, t: np.ndarray | None) -> np.ndarray:
 
 
 SEEN_DIRECTLY = frozenset({"tool", "load_side"})
-"""Signals that show where the load is: a measured tool, an encoder behind the drive."""
+"""Signals that measure the load's position: a measured tool, an encoder behind the drive."""
 
 
 class JointwiseDisplacement(DisplacementEffect, JointwiseEffect):
-    """What an encoder reads beyond its load, joint by joint; `per_joint` is a displacement [m or rad].
+    """An encoder's reading minus the load's position, joint by joint; `per_joint` is a displacement [m or rad].
 
     Attributes:
-        hidden: Why forces alone cannot show it; empty where they can.
+        hidden: The reason why forces alone cannot show it; empty if they can.
     """
 
     hidden: ClassVar[str] = ""
@@ -175,7 +175,7 @@ class JointwiseDisplacement(DisplacementEffect, JointwiseEffect):
 
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
-        """Return what the logs lack; where the load is measured directly, no force has to be explained by it."""
+        """Return the signals that the logs lack; if the load is measured directly, it need not explain forces."""
         direct = bool(SEEN_DIRECTLY & scene.signals)
         if cls.hidden and not direct:
             return cls.hidden, cls.reveals

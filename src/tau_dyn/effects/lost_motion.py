@@ -1,10 +1,11 @@
-"""What comes between an encoder and its load: play, a spring. A bristle's loop is `presliding.py`.
+"""Lost motion between an encoder and its load: play, a spring. A bristle's loop is in `presliding.py`.
 
-Play is a play operator: the encoder travels it before the load follows. The play and the `travel` that closes it are one length
-physically; `travel` only shapes the few micrometres after a reversal, which most filters hide, so it is a setting of its own.
+Play is the play operator: the encoder travels the play before the load follows. The play and the `travel` that closes it are
+one length physically; `travel` only shapes the few micrometres after a reversal, which most filters hide, so it is a setting of
+its own.
 
-A spring carries the force of the model without it, or, where the joint's friction acts on the motor's side of it (setting
-`friction` 0), that of its rigid bodies. A quasi-static law: it holds well below the resonance of load and spring, which is
+A spring carries the force of the model without it, or, if the joint's friction acts on the motor's side of it (setting
+`friction` 0), that of its rigid bodies. The law is quasi-static: it holds well below the resonance of load and spring, which is
 `structural_compliance`. Reference: Nordin & Gutman 2002; Spong 1987; Dressler 2012, 4.2 and 6.3.
 """
 
@@ -30,7 +31,7 @@ _PLAYS = (1e-5, 1e-4, 1e-3)
 
 
 class Backlash(JointwiseDisplacement):
-    """A gap that the drive crosses at each reversal."""
+    """Play that the drive crosses at each reversal."""
 
     name = "backlash"
     cause = True
@@ -50,13 +51,13 @@ class Backlash(JointwiseDisplacement):
     hidden = "play shows in forces only at reversals, and those samples are left out because the sign of the speed is uncertain"
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
-        """Return half the play's side: -1/2 or 1/2 once it is closed."""
+        """Return the side of the play, halved: -1/2 or 1/2 once it is closed."""
         closed = np.minimum(1.0, 2 * joint.signal("reversal") / self.settings["travel"] - 1)
         return [0.5 * joint.sign * closed]
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return plays that close at once, soon and late on the way travelled."""
+        """Return plays that close at once, early and late on the distance travelled."""
         k = scene.index(joints[0])
         way = float(scene.high[k] - scene.low[k])
         return [{"travel": share * way} for share in _PLAYS] if way > 0 else []
@@ -71,7 +72,7 @@ class JointCompliance(JointwiseDisplacement):
     reference = "Spong 1987; Dressler 2012, 6.3"
     reveals = "changing forces of known size at one place, with the load side or the tool measured"
     mistaken_for = ("backlash", "hysteresis", "structural_compliance", "delay")
-    # Drives from 1e5 N/m and, for small harmonic drives, from 100 N m/rad up
+    # Drives have 1e5 N/m or more, small harmonic drives 100 N m/rad or more
     plausible = tuple(build_slide_and_hinge_ranges("compliance", "Q/F", (0.0, 0.0), (1e-5, 1e-2)))
     needs = (*JointwiseDisplacement.needs, "force", "rigid_force")
     nonnegative = True
@@ -89,12 +90,12 @@ class JointCompliance(JointwiseDisplacement):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return a spring before and one behind the joint's friction, the latter where the rigid bodies' force is known."""
+        """Return a spring before and one behind the joint's friction, the latter if the rigid bodies' force is known."""
         return [{"friction": x} for x in (1.0, 0.0) if x or "rigid_force" in scene.signals]
 
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
-        """Return what the logs lack; the whole force is enough."""
+        """Return the signals that the logs lack; the whole force is enough."""
         return super().untestable(replace(scene, signals=scene.signals | {"rigid_force"}))
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:

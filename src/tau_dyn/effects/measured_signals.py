@@ -1,4 +1,4 @@
-"""What a log says beyond positions and forces, as the signals of a motion that effects need."""
+"""Signals of a log beyond positions and forces, in the form that effects need."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from tau_dyn.effects.motor_electrics import PULSE_WIDTH, VOLTAGE
 from tau_dyn.log import Log, find_reversals
 
 _MAX_UNPROPORTIONAL = 1e-3
-"""Share of a force that may be left beside a constant times a voltage: a map's scale leaves rounding, a measured current more."""
+"""Largest residual of a force on a constant times a voltage, as a share: a map's scale leaves rounding errors, a measured
+current more."""
 
 
 def get_measured_signals(
     log: Log, joints: tuple[str, ...], q: np.ndarray, v: np.ndarray, threshold: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Return what a log says beyond positions and forces: temperatures, travel since a reversal, voltages that forces are."""
+    """Return the signals of a log beyond positions and forces: temperatures, travel since a reversal, voltages behind forces."""
     found = {"reversal": np.column_stack([compute_travel(q[:, k], v[:, k], threshold[k]) for k in range(q.shape[1])])}
     warmth = log.temperatures(joints)
     found |= {} if warmth is None else {"temperature": warmth}
@@ -26,8 +27,8 @@ def get_measured_signals(
 def compute_travel(q: np.ndarray, v: np.ndarray, threshold: float) -> np.ndarray:
     """Return the distance (N,) since a joint last reversed, from the turning point of each stretch of one direction.
 
-    Stretches are told apart where the speed is sure, above the threshold; where they turned lies a little before. The first one
-    counts from there too, or from the first sample.
+    Stretches are separated where the sign of the speed is certain, above the threshold; the turning point is a little earlier.
+    The first stretch also counts from its turning point, or else from the first sample.
     """
     sure = np.flatnonzero(np.abs(v) > threshold)
     starts = np.concatenate([[0], find_reversals(v, threshold), [len(q)]])
@@ -42,7 +43,7 @@ def compute_travel(q: np.ndarray, v: np.ndarray, threshold: float) -> np.ndarray
 
 
 def makes_force(log: Log, joints: Sequence[str], signal: str) -> bool:
-    """Return whether a log has this signal for each joint, and each one's force, if there is any, is a constant times it."""
+    """Return whether a log has this signal for each joint, and each joint's nonzero force is a constant times it."""
     if not log.has(signal, joints):
         return False
     return not log.has("tau", joints) or bool(
@@ -51,7 +52,7 @@ def makes_force(log: Log, joints: Sequence[str], signal: str) -> bool:
 
 
 def is_proportional(tau: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Return for each column (n, na) whether it is a constant times another."""
+    """Return whether each column (n, na) is a constant times another."""
     scale = np.sum(x * tau, axis=0) / np.maximum(np.sum(x**2, axis=0), 1e-300)
     left = np.linalg.norm(tau - scale * x, axis=0)
     return left <= _MAX_UNPROPORTIONAL * np.linalg.norm(tau, axis=0)

@@ -1,17 +1,17 @@
-"""A motor's electric circuit, where a log's force is its voltage: back-EMF, inductance, warm windings, a supply that sags.
+"""A motor's electric circuit, for logs whose force is its voltage: back-EMF, inductance, warm windings, a supply that sags.
 
     u = R i + k_e v + L di/dt,   tau = k_t i,   tau_log = (k_t / R_cold) u
 
-Servos without a current sensor report voltage or pulse width. A column map makes a force of it, the torque that the cold motor
-gives at rest (`tau_J: {column: volts, scale: 0.21}`), and keeps it as `voltage_J` or `pwm_J`. Both being proportional tells that
-the circuit stands in the force. Without the scale, masses and friction are known in units of `R / k_t`.
+Servos without a current sensor report voltage or pulse width. A column map converts it to a force, the torque of the cold motor
+at rest (`tau_J: {column: volts, scale: 0.21}`), and keeps it as `voltage_J` or `pwm_J`. If force and voltage are proportional,
+the force contains the circuit. Without the scale, masses and friction are known in units of `R / k_t`.
 
-Back-EMF is viscous friction's twin and no search sees it. A refit's `force` holds it, so the current's part of the force is
-`tau = force - back_emf v`, with `back_emf = k_t k_e / R` a setting. Inductance leads by `L / R`, as a force logged early does.
-Copper gains 0.39 % of resistance a kelvin, magnets lose 0.1 to 0.2 %: a warm motor needs more voltage for its torque. A measured
-temperature gives that directly; else windings warm with `i^2` over a first-order lag, as long as the housing stays cool. A supply
-of resistance `R_s` loses `R_s i u / u_0` at pulse width `u / u_0`, to first order in the loss. Reference: Hughes & Drury 2013, 3;
-Gautier & Briot 2014.
+Back-EMF is indistinguishable from viscous friction, so no search finds it. A refit's `force` holds it, so the current's part of
+the force is `tau = force - back_emf v`, with `back_emf = k_t k_e / R` a setting. Inductance leads by `L / R`, as a force logged
+early does. Copper gains 0.39 % of resistance per kelvin, magnets lose 0.1 to 0.2 %: a warm motor needs more voltage for its
+torque. A measured temperature gives that directly; otherwise windings warm with `i^2` over a first-order lag, as long as the
+housing stays cool. A supply of resistance `R_s` loses `R_s i u / u_0` at pulse width `u / u_0`, to first order in the loss.
+Reference: Hughes & Drury 2013, 3; Gautier & Briot 2014.
 """
 
 from __future__ import annotations
@@ -29,32 +29,32 @@ from tau_dyn.effects.varying_friction import filter_first_order
 from tau_dyn.parameters import Parameter
 
 VOLTAGE, PULSE_WIDTH = "voltage", "pwm"
-"""Signals (N, na) that a log has where its forces are in proportion to them: voltages [V], shares of the supply."""
+"""Signals (N, na) of a log whose forces are proportional to them: voltages [V], shares of the supply."""
 _WITH_CURRENT = "log the current beside the voltage; identify then gives resistance, back-EMF and inductance"
-_COLD = 20.0  # degC; a reference only moves the masses
+_COLD = 20.0  # degC; a reference only scales the masses
 _LAGS_S = (2.5, 5.0, 10.0, 20.0, 40.0, 80.0, 160.0)
-"""Time constants of windings tried [s]: a few seconds in a motor of 10 mm, some minutes in an industrial one."""
+"""Time constants of windings tried [s]: a few seconds in a motor of 10 mm, a few minutes in an industrial one."""
 _MAX_LAG_SHARE = 0.5
-"""Share of the recording that a time constant may take; a longer one is a drift in time."""
+"""Largest time constant, as a share of the recording; a longer one is a drift in time."""
 _BACK_EMF_SHARES = (0.0, 0.5, 1.0)
-"""Back-EMF tried, as a share of the viscous friction that holds it."""
+"""Back-EMF tried, as a share of the viscous friction that contains it."""
 
 
 class CircuitEffect(JointwiseEffect):
-    """What a motor's circuit does to a voltage that is logged as a force; the robot moves as without it."""
+    """Effect of a motor's circuit on a voltage that is logged as a force; the robot's motion does not change."""
 
     needs = (VOLTAGE,)
     signal: ClassVar[str] = VOLTAGE
-    """What the log holds of it."""
+    """Force contained in the log."""
 
     @property
     def measured(self) -> bool:
-        """The voltage is recorded in the force's place."""
+        """The voltage is recorded in place of the force."""
         return True
 
 
 class BackEmf(CircuitEffect):
-    """The voltage that a turning motor makes."""
+    """The voltage that a turning motor generates."""
 
     name = "back_emf"
     cause = True
@@ -62,7 +62,7 @@ class BackEmf(CircuitEffect):
     reference = "Hughes & Drury 2013, ch. 3"
     reveals = _WITH_CURRENT + "; or let the joint swing with its motor switched off, where friction alone brakes it"
     mistaken_for = ("viscous_curvature", "viscous_asymmetry")
-    # It takes up all of what voltages show as viscous friction, or nothing
+    # It explains all of the viscous friction in voltages, or no part of it
     plausible = (PlausibleRange("back_emf", 0.0, 1.0, of="viscous"),)
     quantities = (("back_emf", "F/(V)"),)
     nonnegative = True
@@ -73,7 +73,7 @@ class BackEmf(CircuitEffect):
 
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
-        """Return why no voltage tells it from viscous friction."""
+        """Return the reason why no voltage distinguishes it from viscous friction."""
         twin = ("in a voltage it is a part of the viscous friction, which no motion under power divides", cls.reveals)
         return super().untestable(scene) or twin
 
@@ -95,12 +95,12 @@ class Inductance(CircuitEffect):
     nonnegative = True
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
-        """Return the force's rate; that of its back-EMF is an inertia, which the refit takes."""
+        """Return the force's rate; that of its back-EMF is an inertia, which the refit absorbs."""
         return [differentiate_columns(joint.signal("force"), joint.t)]
 
 
 class ScaledCurrent(CircuitEffect):
-    """A voltage that is more by a factor than the current asks for."""
+    """A voltage that is larger by a factor than the current requires."""
 
     defaults: ClassVar[Mapping[str, float]] = {"back_emf": 0.0}
     setting_units: ClassVar[Mapping[str, str]] = {"back_emf": "F/(V)"}
@@ -112,13 +112,13 @@ class ScaledCurrent(CircuitEffect):
         """Return the factor (N,) per unit of the amplitude, of the current's part of the force (N,)."""
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
-        """Return the factor times what the current makes of the force."""
+        """Return the factor times the current's part of the force."""
         current = joint.signal("force") - self.settings["back_emf"] * joint.v
         return [self.find_factor(current, joint) * current]
 
     @classmethod
     def list_back_emf(cls, scene: Scene, joint: str) -> list[float]:
-        """Return back-EMF worth trying [F/V], from none to all of the viscous friction."""
+        """Return the values of back-EMF to try [F/V], from zero to all of the viscous friction."""
         viscous = max(0.0, scene.scales.get(joint, {}).get("viscous", 0.0))
         return [share * viscous for share in (_BACK_EMF_SHARES if viscous else _BACK_EMF_SHARES[:1])]
 
@@ -156,11 +156,11 @@ class WindingHeat(ScaledCurrent):
 
     @property
     def terms(self) -> tuple[tuple[str, str], ...]:
-        """One amplitude, by how the temperature is known."""
+        """One amplitude, named by the source of the temperature."""
         return (("resistance_per_kelvin", "1/K"),) if self.settings["sensed"] else (("resistance_rise", "1"),)
 
     def find_factor(self, current: np.ndarray, joint: JointMotion) -> np.ndarray:
-        """Return the temperature above a cold motor's [K], or the heating behind its lag."""
+        """Return the temperature above a cold motor's [K], or the lagged heating."""
         if self.settings["sensed"]:
             return joint.signal("temperature") - _COLD
         # cold at the start, as the filter starts in equilibrium at its first sample
@@ -169,7 +169,7 @@ class WindingHeat(ScaledCurrent):
         return filter_first_order(heating, joint.t, self.settings["lag"])
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return the rise and how fast it comes."""
+        """Return the rise and its time constant."""
         if self.settings["sensed"]:
             return f"a resistance that rises by {format_amount(values['resistance_per_kelvin'])}"
         rise, rated, lag = (
@@ -181,7 +181,7 @@ class WindingHeat(ScaledCurrent):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return the measured temperature, where there is one, or time constants; each with some back-EMF."""
+        """Return the setting for a measured temperature, if available, or time constants; each with some values of back-EMF."""
         rated = scene.scales.get(joints[0], {}).get("force", 0.0)
         if not rated > 0:
             return []
@@ -190,7 +190,7 @@ class WindingHeat(ScaledCurrent):
         return [
             {"back_emf": b, "rated": rated, **({"sensed": 1} if lag is None else {"lag": lag})}
             for lag in lags
-            for b in cls.list_back_emf(scene, joints[0])  # neighbours differ in it, as refinement asks
+            for b in cls.list_back_emf(scene, joints[0])  # neighbours differ in it, as refinement requires
         ]
 
 
@@ -219,6 +219,6 @@ class SupplySag(ScaledCurrent):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return some back-EMF, at the joint's largest force."""
+        """Return several values of back-EMF, at the joint's largest force."""
         peak = scene.scales.get(joints[0], {}).get("force", 0.0)
         return [{"back_emf": b, "peak": peak} for b in cls.list_back_emf(scene, joints[0])] if peak > 0 else []

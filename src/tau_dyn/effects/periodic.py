@@ -1,13 +1,14 @@
-"""Cyclic effects of the position: a force that repeats (teeth, cogging), an encoder that leads and lags its load.
+"""Cyclic effects of the position: a force that repeats (teeth, cogging), an encoder that alternately leads and lags its load.
 
     cyclic_ripple        tau            += sum_k ripple_sin_k sin(2 pi k q / period) + ripple_cos_k cos(2 pi k q / period)
     transmission_error   encoder - load  = sum_k error_sin_k sin(2 pi k q / period) + error_cos_k cos(2 pi k q / period)
 
-for k = 1 .. harmonics; the amplitude is `hypot(sin, cos)`. The motion sees a period only where it travels some of them, and a
-low-pass leaves it only where the slowest usable speed brings it below the cutoff: `v / period < cutoff`. A scan in steps of a
-quarter of `1 / range` cannot miss a line. In the force channel an error misses the load's acceleration, so its force grows with
-the speed squared, where a ripple has the same size at all speeds. Without a sensor on the load side an encoder's own error
-(`resolver_error`) is the same thing. Reference: Dressler 2012, 4.2; Holtz & Springob 1996 (cogging); Ozguven & Houser 1988.
+for k = 1 .. harmonics; the amplitude is `hypot(sin, cos)`. A motion excites a period only if it covers several of them, and a
+low-pass keeps it only if the slowest usable speed brings it below the cutoff: `v / period < cutoff`. A scan in steps of a
+quarter of `1 / range` cannot miss a line. In the force channel an error changes the load's acceleration, so its force grows
+with the speed squared, whereas a ripple has the same size at all speeds. Without a sensor on the load side an encoder's own
+error (`resolver_error`) is indistinguishable. Reference: Dressler 2012, 4.2; Holtz & Springob 1996 (cogging); Ozguven & Houser
+1988.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from tau_dyn.effects.motion import JointMotion, Motion, Scene
 from tau_dyn.parameters import Parameter
 
 MIN_PERIODS = 4.0
-"""Of a force of the position alone: fewer of them are any smooth dependence on the place."""
+"""Least periods of a force of the position alone: fewer of them resemble any smooth dependence on the position."""
 MAX_PERIODS = 500.0  # periods within the range; finer ones are below an encoder's resolution
 _STEPS = 4.0  # frequencies per resolution cell, so that no peak falls between two
 
@@ -32,7 +33,7 @@ class PeriodicEffect(JointwiseEffect):
     """A sum of sines and cosines of the position, `harmonics` of them.
 
     Attributes:
-        wave: What its amplitudes are called and the letter of their unit.
+        wave: Name of its amplitudes and the letter of their unit.
     """
 
     wave: ClassVar[tuple[str, str]]
@@ -58,7 +59,7 @@ class PeriodicEffect(JointwiseEffect):
         return build_waves(joint.q, self.settings["period"], int(self.settings["harmonics"]))
 
     def sizes(self, values: Mapping[str, Parameter]) -> tuple[str, str]:
-        """Return the first harmonic's amplitude, and what is to be said of the others' after it."""
+        """Return the first harmonic's amplitude, and a phrase with the amplitudes of the others."""
         p = list(values.values())
         sizes = [format_amount(compute_amplitude(p[k], p[k + 1])) for k in range(0, len(p), 2)]
         return sizes[0], f", with harmonics of {', '.join(sizes[1:])}" if len(sizes) > 1 else ""
@@ -71,9 +72,9 @@ def build_waves(q: np.ndarray, period: float, harmonics: int) -> list[np.ndarray
 
 
 def list_periods(scene: Scene, joint: str, fewest: float = MIN_PERIODS) -> list[dict[str, float]]:
-    """Return the periods [m or rad] worth trying, the longest first, of which the range holds `fewest`.
+    """Return the periods [m or rad] to try, the longest first; the range holds at least `fewest` of each.
 
-    There are none where the joint hardly moves.
+    The list is empty if the joint hardly moves.
     """
     k = scene.index(joint)
     travel, slow = float(scene.high[k] - scene.low[k]), float(scene.slow[k])
@@ -87,7 +88,7 @@ def list_periods(scene: Scene, joint: str, fewest: float = MIN_PERIODS) -> list[
 
 
 def compute_amplitude(sine: Parameter, cosine: Parameter) -> Parameter:
-    """Return the amplitude `hypot(sine, cosine)` as a parameter; its error is first order in theirs, taken as independent."""
+    """Return the amplitude `hypot(sine, cosine)` as a parameter; its error is first order in theirs, assumed independent."""
     size = float(np.hypot(sine.value, cosine.value))
     known = sine.stderr is not None and cosine.stderr is not None and size > 0
     error = (
@@ -110,7 +111,7 @@ class CyclicRipple(PeriodicEffect):
     wave = ("ripple", "F")
 
     def local_frequency(self, motion: Motion) -> np.ndarray:
-        """Return at which frequency each sample feels the first harmonic (N, na) [Hz]."""
+        """Return the frequency (N, na) [Hz] of the first harmonic at each sample."""
         return np.abs(motion.v) / self.settings["period"]
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
@@ -120,12 +121,13 @@ class CyclicRipple(PeriodicEffect):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return periods from a quarter of the range down to what speed and low-pass still show."""
+        """Return periods from a quarter of the range down to the shortest that speed and low-pass resolve."""
         return list_periods(scene, joints[0])
 
 
 _MIN_ERROR_PERIODS = 1.5
-"""Periods in the range: a force that goes with the speed squared and the acceleration is like no other, however long its wave."""
+"""Least periods in the range: a force that depends on the speed squared and the acceleration is distinguishable at any
+wavelength."""
 
 
 class TransmissionError(PeriodicEffect, JointwiseDisplacement):
@@ -143,7 +145,7 @@ class TransmissionError(PeriodicEffect, JointwiseDisplacement):
     wave = ("error", "Q")
 
     def columns(self, motion: Motion) -> np.ndarray:
-        """Return force per unit parameter (N, na, p), differentiated on paper: short periods outrun a sampled derivative."""
+        """Return force per unit parameter (N, na, p), differentiated analytically: samples do not resolve short periods."""
         n, (N, na) = len(self.terms), motion.v.shape
         force = np.zeros((na, n * len(self.joints), N))
         w = 2 * np.pi * np.repeat(np.arange(1, n // 2 + 1), 2) / self.settings["period"]
@@ -162,7 +164,7 @@ class TransmissionError(PeriodicEffect, JointwiseDisplacement):
         return force.transpose(2, 0, 1)
 
     def local_frequency(self, motion: Motion) -> np.ndarray:
-        """Return at which frequency each sample feels the first harmonic (N, na) [Hz], also where other joints move."""
+        """Return the frequency (N, na) [Hz] of the first harmonic at each sample, also where other joints move."""
         index = self._indices(motion)
         fastest = np.max(np.abs(motion.v[:, index]), axis=1, keepdims=True) / self.settings["period"]
         return np.repeat(fastest, motion.v.shape[1], axis=1)
@@ -174,5 +176,5 @@ class TransmissionError(PeriodicEffect, JointwiseDisplacement):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return periods from two thirds of the range down to what speed and low-pass still show."""
+        """Return periods from two thirds of the range down to the shortest that speed and low-pass resolve."""
         return list_periods(scene, joints[0], _MIN_ERROR_PERIODS)

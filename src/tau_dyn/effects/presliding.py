@@ -1,14 +1,17 @@
-"""Friction that bends before it slips: LuGre's bristle as a force, or the loop that it leaves between encoder and load.
+"""Friction that deflects before it slips: LuGre's bristle as a force, or its hysteresis loop between encoder and load.
 
-A bristle's state z swings from one side to the other over `distance` after a reversal:
+A bristle's state z changes from one side to the other over `distance` after a reversal:
 
-    dz/dt = (v - |v| z) / distance,     z = sign(v) (1 - 2 exp(-x / distance)) once it had swung, x the way since the reversal.
+    dz/dt = (v - |v| z) / distance,     z = sign(v) (1 - 2 exp(-x / distance)) after a full change,
 
-This is LuGre's bristle, z in units of its largest deflection and with a stiffness of `lugre / distance`. Its micro-damping, which
-acts over that distance alone, is left out, and its Stribeck curve is `stribeck` beside it. With one friction at all speeds it is
-Dahl's law; springs that slip one after another (Maxwell slip) build up over about the same way. As a force it stands beside
-Coulomb friction, of which a part then builds up over the distance; as a displacement, `hysteresis`, it is a loop of the
-deflection. A recording is integrated, which covers reversals before z has swung; single states are taken to have swung.
+with x the travel since the reversal.
+
+This is LuGre's bristle, z in units of its largest deflection and with a stiffness of `lugre / distance`. Its micro-damping,
+which acts over that distance alone, is left out, and its Stribeck curve is the separate effect `stribeck`. With one friction at
+all speeds it is Dahl's law; springs that slip one after another (Maxwell slip) build up over about the same distance. As a
+force it is added to Coulomb friction, of which a part then builds up over the distance; as a displacement, `hysteresis`, it is
+a loop of the deflection. A recording is integrated, which covers reversals before z has fully changed; single states are
+assumed to follow a full change.
 Reference: Dahl 1968; Canudas de Wit et al. 1995; Al-Bender, Lampaert & Swevers 2005; Ruderman et al. 2009.
 """
 
@@ -31,17 +34,17 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter
 
 _DISTANCES = (1e-3, 0.1)
-_N_TRIALS = 8  # distances tried, a factor of about two apart; refinement does the rest
-_PIECE = 30.0  # exponents of a stretch that is integrated at once; exp(30) leaves half of the digits
+_N_TRIALS = 8  # distances tried, in steps of a factor of about two; refinement does the rest
+_PIECE = 30.0  # largest exponent of a stretch that is integrated at once; exp(30) leaves half of the digits
 STATE = "presliding"
-"""Signal (N, na) that replaces z where somebody follows it from sample to sample, as the simulator does."""
+"""Signal (N, na) that replaces z if the caller tracks it from sample to sample, as the simulator does."""
 
 
 class Bristle(JointwiseEffect):
     """An effect with a bristle's state z; see the module."""
 
     def find_state(self, joint: JointMotion) -> np.ndarray:
-        """Return z (N,): as it is followed, along a recording, or as if it had always swung where samples are in no order."""
+        """Return z (N,): the tracked one, that along a recording, or the fully changed one for unordered samples."""
         z = joint.signals.get(STATE)
         if z is not None:
             return z
@@ -57,7 +60,7 @@ class Bristle(JointwiseEffect):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return distances from a thousandth to a tenth of the way travelled."""
+        """Return distances from a thousandth to a tenth of the distance travelled."""
         k = scene.index(joints[0])
         way = float(scene.high[k] - scene.low[k])
         return [{"distance": float(x) * way} for x in np.geomspace(*_DISTANCES, _N_TRIALS)] if way > 0 else []
@@ -85,7 +88,7 @@ class Lugre(Bristle):
     open_ends = {"distance": "both"}
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
-        """Return what the bristle lacks of Coulomb friction."""
+        """Return the bristle's force minus Coulomb friction, per unit."""
         return [self.find_state(joint) - joint.sign]
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
@@ -129,7 +132,7 @@ class Hysteresis(Bristle, JointwiseDisplacement):
 
     @property
     def measured(self) -> bool:
-        """Only the displacement is the encoder's."""
+        """Only the displacement belongs to the encoder."""
         if self.settings["displaced"] not in (0, 1):
             raise InputError(
                 "invalid_value", "setting displaced of effect hysteresis is 0 (a force) or 1 (a displacement)"
@@ -137,7 +140,7 @@ class Hysteresis(Bristle, JointwiseDisplacement):
         return self.settings["displaced"] == 1
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
-        """Return z, less the sign for a force."""
+        """Return z, minus the sign for a force."""
         z = self.find_state(joint)
         return [z if self.measured else z - joint.sign]
 
@@ -148,12 +151,12 @@ class Hysteresis(Bristle, JointwiseDisplacement):
         return JointwiseEffect.columns(self, motion)
 
     def displacement(self, motion: Motion) -> np.ndarray:
-        """Return encoder minus load per unit parameter (N, na, p); none for a force."""
+        """Return encoder minus load per unit parameter (N, na, p); zero for a force."""
         made = super().displacement(motion)
         return made if self.measured else np.zeros_like(made)
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return the loop and the distance that it takes."""
+        """Return the loop and its distance."""
         way = self.setting("distance", joint)
         if self.measured:
             return f"a loop of {format_amount(values['lost_motion'])} to either side between encoder and load, entered over {way}"
@@ -161,22 +164,22 @@ class Hysteresis(Bristle, JointwiseDisplacement):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return a bristle's distances; displacements where they can be seen."""
+        """Return a bristle's distances; displacements if they are observable."""
         displaced = float(bool(SEEN_DIRECTLY & scene.signals))
         return [row | {"displaced": displaced} for row in super().grid(scene, joints)]
 
 
 def follow_reversal(travel: np.ndarray, heading: np.ndarray, dq: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the way since the last reversal [m or rad] and the direction of motion, each (...), after moving by `dq` (...)."""
+    """Return the travel since the last reversal [m or rad] and the direction of motion, each (...), after a step `dq` (...)."""
     sign = np.sign(dq)
     return np.abs(dq) + np.where(sign * heading < 0, 0.0, travel), np.where(sign == 0, heading, sign)
 
 
 def integrate_bristle(q: np.ndarray, distance: float) -> np.ndarray:
-    """Return z (N,) along positions (N,) in order, exact where a joint does not turn between two samples.
+    """Return z (N,) along positions (N,) in order, exact if a joint does not reverse between two samples.
 
-    It starts from the other side, as if it had just turned. With x the way travelled over `distance`,
-    `z e^x` grows by `sign (e^x_{k+1} - e^x_k)`, which is summed over pieces short enough for the exponential.
+    It starts from the other side, as after a reversal. With x the travel divided by `distance`, `z e^x` grows by
+    `sign (e^x_{k+1} - e^x_k)`, which is summed over pieces short enough for the exponential.
     """
     step = np.diff(q)
     x = np.concatenate([[0.0], np.cumsum(np.abs(step))]) / distance

@@ -1,15 +1,16 @@
-"""Drives and geometry that are not as the robot file says: rotors, torque constants, a shared motor, encoders' scales, gravity.
+"""Drives and geometry that differ from the robot file: rotors, torque constants, a shared motor, encoders' scales, gravity.
 
-Where nobody gives a drive's inertia the baseline estimates it (`identify/fitted_model.py`); where the file gives it, a gear ratio
-may be forgotten in its square. A gain scales all masses and all friction alike, so only a mass known by other means tells it.
-Robot wrists often share a motor (joints 5 and 6 of the Staubli TX40), which turns with the sum of two joints. Forces see masses
-scaled by a wrong pinion, which a refit absorbs; only lengths measured otherwise show it.
+If a drive's inertia is not given, the baseline estimates it (`identify/fitted_model.py`); if the file gives it, the square of
+the gear ratio may be missing in it. A gain scales all masses and all friction equally, so only a mass known by other means
+determines it. Robot wrists often share a motor (joints 5 and 6 of the Staubli TX40), which turns with the sum of two joints.
+A wrong pinion scales the masses in forces, which a refit absorbs; only lengths measured by other means show it.
 
-Gravity is turned about two unit axes across it (the base's x and y where it points along z, see `compute_perpendicular_axes`) by
-small angles [rad]; the base is turned the other way. Its forces come from the fitted masses (`Mechanism.gravity_turn`), to first
-order, so up to 0.2 rad; a robot on a wall is an error of the file. Where all hinges about a horizontal axis have free first
-moments the refit absorbs a turn about that axis. Reference: Gautier & Khalil 1990; Gautier & Briot 2014; Gautier & Venture 2013;
-Dressler 2012, (4.13) and (5.6); Khalil & Dombre 2002, 9.4; Atkeson, An & Hollerbach 1986.
+Gravity is turned about two unit axes across it (the base's x and y where it points along z, see `compute_perpendicular_axes`)
+by small angles [rad]; the base is turned the other way. Its forces are computed from the fitted masses
+(`Mechanism.gravity_turn`), to first order, therefore up to 0.2 rad; a robot on a wall is an error of the file. If all hinges
+about a horizontal axis have free first moments, the refit absorbs a turn about that axis. Reference: Gautier & Khalil 1990;
+Gautier & Briot 2014; Gautier & Venture 2013; Dressler 2012, (4.13) and (5.6); Khalil & Dombre 2002, 9.4; Atkeson, An &
+Hollerbach 1986.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from tau_dyn.parameters import Parameter, Parameters
 
 
 class Armature(JointwiseEffect):
-    """Reflected rotor inertia beyond the robot file's."""
+    """Reflected rotor inertia in addition to the robot file's."""
 
     name = "armature"
     cause = True
@@ -35,7 +36,7 @@ class Armature(JointwiseEffect):
     reference = "Gautier & Khalil 1990"
     reveals = "quick accelerations of each joint alone, at poses where its load's inertia differs"
     mistaken_for = ("link_mass", "payload", "reducer_coupling", "joint_compliance")
-    # A rotor counts by its gear ratio's square: it is up to all of a joint's inertia, or several times what a file has
+    # A rotor counts by its gear ratio's square: it is up to all of a joint's inertia, or several times the file's value
     plausible = (PlausibleRange("armature_error", -1.0, 5.0, of="inertia"),)
     quantities = (("armature_error", "F s^2/Q"),)
     sentence = "a drive inertia that differs from the robot file's by {armature_error}"
@@ -54,7 +55,7 @@ class DriveGain(JointwiseEffect):
     reference = "Gautier & Briot 2014"
     reveals = "one motion without and with a weighed payload, its mass fixed by --fix"
     mistaken_for = ("payload", "link_mass")
-    # Torque constants scatter by 10 % and fall by 20 % with warm magnets
+    # Torque constants scatter by 10 % and decrease by 20 % with warm magnets
     plausible = (PlausibleRange("gain_error", -0.3, 0.3),)
     needs = ("force",)
     quantities = (("gain_error", "1"),)
@@ -74,7 +75,7 @@ class ReducerCoupling(Effect):
     reference = "Gautier & Venture 2013"
     reveals = "motion in which the two joints turn together, against each other, and each alone"
     mistaken_for = ("link_mass", "passive_joint_friction")
-    # The shared motor is of the size of the joints' own motors
+    # The shared motor is as large as the joints' own motors
     plausible = (
         PlausibleRange("inertia", 0.0, 1.0, of="inertia"),
         PlausibleRange("viscous", 0.0, 2.0, of="viscous"),
@@ -89,7 +90,7 @@ class ReducerCoupling(Effect):
 
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
-        """Return that no motor can drive two joints, where none are neighbours."""
+        """Return that no motor can drive two joints, if no joints are neighbours."""
         return (
             super().untestable(scene) if list_joint_pairs(scene) else ("no two joints can share a motor", NO_EXPERIMENT)
         )
@@ -148,7 +149,7 @@ class PinionScale(JointwiseDisplacement):
     reference = "Dressler 2012, (4.13) and (5.6)"
     reveals = "the tool or the load side measured over the whole range"
     mistaken_for = ("guideway_nonparallel", "rod_length", "link_mass")
-    # A pinion or belt pitch off by 1 % is a wrong part
+    # A pinion or belt pitch wrong by 1 % is a wrong part
     plausible = (PlausibleRange("pinion_scale", -0.01, 0.01),)
     quantities = (("pinion_scale", "1"),)
     sentence = "positions read too long by {pinion_scale}"
@@ -174,7 +175,7 @@ class GravityDirection(Effect):
         "slow motion over the whole workspace, joints with a vertical axis included, or a spirit level on the base"
     )
     mistaken_for = ("torque_offset", "coulomb_asymmetry", "link_mass", "position_friction")
-    # A floor is off by some mrad, a stand by up to 0.2 rad; more is another mounting, which is no small error
+    # A floor is off by some mrad, a support by up to 0.2 rad; more is another mounting, which is no small error
     plausible = (PlausibleRange("tilt", -0.2, 0.2, "rad"),)
     needs = (GRAVITY_TURN,)
 

@@ -1,9 +1,9 @@
-"""Friction that holds until a drive's own compensation sets in: static apart from kinetic friction.
+"""Friction that holds until a drive's own compensation sets in: static friction separate from kinetic friction.
 
-Drives that compensate friction do so while their joint moves. Below the speed at which that sets in, the whole friction stands in
-the torque, and above it what compensation leaves. A Stribeck peak falls off as its lubricant film grows; this law keeps its
+Drives that compensate friction do so while their joint moves. Below the speed at which that sets in, the torque contains the
+whole friction, and above it the uncompensated part. A Stribeck peak decreases as its lubricant film grows; this law keeps its
 height and ends within some 20 % of one speed. At rest the joint holds up to Coulomb and static friction together. A log whose
-slow samples are left out shows nothing of a speed below them. Reference: Armstrong-Helouvry, Dupont & Canudas de Wit 1994.
+slow samples are left out cannot show a speed below them. Reference: Armstrong-Helouvry, Dupont & Canudas de Wit 1994.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from tau_dyn.effects.motion import JointMotion, Scene
 from tau_dyn.parameters import Parameter
 
 _POWER = 8
-"""Of the speed's share: 95 % are left at 0.69 of the speed and 5 % at 1.15 of it."""
+"""Power of the speed's share: 95 % remain at 0.69 of the speed and 5 % at 1.15 of it."""
 _FIRST = 1.2
-"""Lowest speed tried, over the slowest usable one: below it hardly a sample feels the law."""
+"""Lowest speed tried, over the slowest usable one: below it hardly any sample is affected by the law."""
 _STEP = 1.25
 """Ratio of neighbouring speeds tried, about the width of the law's end."""
 
 
 class StaticFriction(JointwiseEffect):
-    """Friction at low speed that a drive's compensation takes away above it."""
+    """Friction at low speed that a drive's compensation removes above it."""
 
     name = "static_friction"
     cause = True
@@ -36,7 +36,7 @@ class StaticFriction(JointwiseEffect):
         "torque ramps from rest, and constant-speed strokes below and above the speed at which compensation sets in"
     )
     mistaken_for = ("stribeck", "lugre", "viscous_curvature")
-    # Compensated drives keep a tenth of their static friction in motion; it is below the largest force, else nothing moves
+    # Compensated drives keep a tenth of their static friction in motion; it is below the largest force, else no joint moves
     plausible = (PlausibleRange("static_friction", 0.0, 1.0, of="force"),)
     quantities = (("static_friction", "F"),)
     nonnegative = True
@@ -52,14 +52,14 @@ class StaticFriction(JointwiseEffect):
         return [joint.sign * np.exp(-((np.abs(joint.v) / self.settings["speed"]) ** _POWER))]
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return how much and up to which speed."""
+        """Return the amount and the limit speed."""
         return (
             f"static friction of {format_amount(values['static_friction'])} that ends at {self.setting('speed', joint)}"
         )
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return speeds from above the slowest that is seen to a third of the fast ones."""
+        """Return speeds from above the slowest measured one to a third of the fast ones."""
         k = scene.index(joints[0])
         low, high = _FIRST * scene.slow[k], scene.fast[k] / 3
         if not 0 < low < high:

@@ -1,14 +1,14 @@
-r"""A drive or structure that yields and swings: the load stays behind the encoder, and rings at its own frequencies.
+r"""A compliant drive or structure that oscillates: the load deflects from the encoder and resonates at its own frequencies.
 
     encoder - load = sum over modes of C_i d_i,     d_i'' + 2 z_i w_i d_i' + w_i^2 d_i = w_i^2 F,     w_i = 2 pi f_i
 
-with F (na,) the force of the rigid bodies, which springs carry. Far above the motion's band a mode is the quasi-static
-`joint_compliance`; far below it is a mass more. Where a drive yields, C has one number a joint. Where the structure does
-(`coupled`), a mode moves the loads of all joints together: its C is a matrix, symmetric by Maxwell's reciprocity if forces
-and loads are those of one set of places (`reciprocal`), full where a tool is measured whose place the masses do not share.
-What modes above the band do, they do at once: `rest` adds a matrix that yields without swinging. Frequencies and
-damping are settings; `modes` says how many of the three count. References: Spong 1987; Dressler 2012, 6.3; Ewins 2000, 2.4
-(modal sums) and 4.2 (residual terms of modes outside the band).
+with F (na,) the force of the rigid bodies, which springs carry. A mode far above the motion's band is the quasi-static
+`joint_compliance`; a mode far below it acts as an additional mass. For a compliant drive, C has one number per joint. In a
+compliant structure (`coupled`), a mode moves the loads of all joints together: its C is a matrix, symmetric by Maxwell's
+reciprocity if forces and loads are at the same points (`reciprocal`), full if the measured tool is at another point than the
+masses. Modes above the band respond at once: `rest` adds a matrix of compliance without oscillation. Frequencies and damping
+are settings; `modes` is the number of the three modes that are used. References: Spong 1987; Dressler 2012, 6.3; Ewins 2000,
+2.4 (modal sums) and 4.2 (residual terms of modes outside the band).
 """
 
 from __future__ import annotations
@@ -26,19 +26,20 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter, Parameters
 
 _ENDS = ("", "_2", "_3")
-"""What the names of each mode's settings and parameters end in."""
+"""Suffixes of the names of each mode's settings and parameters."""
 MAX_MODES = len(_ENDS)
 _MIN_FREQUENCY_HZ = 3.0  # Hz; a slower structure moves with the robot like a body
 _REACH = 2.5
-"""Frequency of the stiffest spring tried, in those that can be seen: above it, it cannot be told from one without a mode."""
+"""Frequency of the stiffest spring tried, as a multiple of the observable ones: above it, it cannot be distinguished from a
+quasi-static one."""
 _STEP = 1.15  # ratio of neighbouring frequencies tried; the peaks of a damping of 0.1 overlap at it
 _DAMPING = (0.03, 0.1)
 _FREQUENCY_FACTORS = (0.97, 1.0, 1.03)
-"""Settings beside a proposed frequency; a refinement goes on from the best of them."""
+"""Settings around a proposed frequency; a refinement continues from the best of them."""
 
 
 class StructuralCompliance(JointwiseDisplacement):
-    """Springs between encoders and loads that ring."""
+    """Springs between encoders and loads that resonate."""
 
     name = "structural_compliance"
     cause = True
@@ -48,8 +49,8 @@ class StructuralCompliance(JointwiseDisplacement):
     reference = "Spong 1987; Dressler 2012, 6.3"
     reveals = "a multisine around the suspected resonance, riding on a stroke of constant speed"
     mistaken_for = ("joint_compliance", "delay", "payload", "drive_gain")
-    # Machine tools have 1e-8 m/N, light gantries 1e-5, flexible arms 1e-2 rad/(N m) (Dressler 2012, 6.3; Spong 1987)
-    # Modes of frames and arms are damped by 0.5 to 5 %, with reducers up to 15 % (Ewins 2000, 3.8); beyond it nothing rings
+    # Machine tools have 1e-8 m/N, light gantries 1e-5, flexible arms 1e-2 rad/(N m) (Dressler 2012, 6.3; Spong 1987). Modes of
+    # frames and arms are damped by 0.5 to 5 %, with reducers up to 15 % (Ewins 2000, 3.8); beyond it modes do not resonate
     plausible = (
         *build_slide_and_hinge_ranges("structural_compliance", "Q/F", (-1e-4, -1e-2), (1e-4, 1e-2)),
         PlausibleRange("damping", 0.0, 0.15, setting=True),
@@ -83,7 +84,7 @@ class StructuralCompliance(JointwiseDisplacement):
 
     @property
     def _ends(self) -> tuple[str, ...]:
-        """The ends of the modes that count."""
+        """Name suffixes of the modes in use."""
         return _ENDS[: int(self.settings["modes"])]
 
     @property
@@ -92,7 +93,7 @@ class StructuralCompliance(JointwiseDisplacement):
 
     @property
     def terms(self) -> tuple[tuple[str, str], ...]:
-        """A compliance a mode."""
+        """One compliance per mode."""
         return tuple((f"structural_compliance{end}", "Q/F") for end in self._ends)
 
     @property
@@ -104,7 +105,7 @@ class StructuralCompliance(JointwiseDisplacement):
 
     @property
     def _matrices(self) -> tuple[str, ...]:
-        """The same of each matrix of a structure: modes, and what modes above the band leave."""
+        """The same for each matrix of a structure: modes, and the residual compliance of modes above the band."""
         return (*self._ends, "_rest") if self.settings["rest"] else self._ends
 
     @property
@@ -114,14 +115,14 @@ class StructuralCompliance(JointwiseDisplacement):
         return [(i, j) for i in range(n) for j in range(n) if i <= j or not self.settings["reciprocal"]]
 
     def _entry(self, end: str, i: int, j: int) -> Parameter:
-        """Return an entry: the load of joint i that yields to the force of joint j; a matrix is bounded as a whole, or not."""
+        """Return an entry: the deflection of joint i's load by the force of joint j; entries of a matrix have no bounds."""
         one, other = self.joints[i], self.joints[j]
         owner = one if i == j else f"{one}+{other}"
         unit = spell_unit(f"{spell_unit('Q', self.units[one])}/F", self.units[other])
         return Parameter(f"{owner}.structural_compliance{end}{self.label}", 0.0, unit, origin=self.name)
 
     def columns(self, motion: Motion) -> np.ndarray:
-        """Return force per unit parameter (N, na, p); a structure's friction is in its guideways, before what yields."""
+        """Return force per unit parameter (N, na, p); a structure's friction is in its guideways, in front of the compliance."""
         if not self._coupled:
             return super().columns(motion)
         return super().columns(motion.with_signals(damping=np.zeros_like(motion.v)))
@@ -143,7 +144,7 @@ class StructuralCompliance(JointwiseDisplacement):
         return np.stack(made, axis=1).transpose(2, 0, 1)
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
-        """Return the swinging response of each mode to the force; at rest, the force itself."""
+        """Return the dynamic response of each mode to the force; at rest, the force itself."""
         return [compute_swinging_response(_felt(joint, f)[:, None], joint.t, f, z)[:, 0] for f, z in self._modes()]
 
     def _modes(self) -> list[tuple[float, float]]:
@@ -151,7 +152,7 @@ class StructuralCompliance(JointwiseDisplacement):
         return [(self.settings[f"frequency{end}"], self.settings[f"damping{end}"]) for end in self._ends]
 
     def describe(self, parameters: Parameters) -> str:
-        """Return resonances and what yields, in words."""
+        """Return resonances and compliances, in words."""
         if not self._coupled:
             return super().describe(parameters)
         n, said = len(self.joints), []
@@ -176,15 +177,16 @@ class StructuralCompliance(JointwiseDisplacement):
 
     @classmethod
     def groups(cls, scene: Scene) -> list[tuple[str, ...]]:
-        """Return each joint alone, or the structure as a whole where modes are proposed that no single joint explains."""
+        """Return each joint alone, or the structure as a whole if modes are proposed that no single joint explains."""
         return [tuple(scene.joints)] if scene.structure and len(scene.joints) > 1 else super().groups(scene)
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return frequencies worth trying.
+        """Return the frequencies to try.
 
-        For one joint, steps that a refinement bridges, with little and with much damping; none for poses held still. For the
-        structure, and for several modes, what the scene's resonances propose: the first, the first two, all.
+        For one joint, frequencies in steps that a refinement bridges, with low and with high damping; no frequency for static
+        poses. For the structure, and for several modes, those that the scene's resonances propose: the first, the first two,
+        all.
         """
         highest = _REACH * scene.cutoff_hz
         if not np.isfinite(highest):
@@ -200,23 +202,23 @@ class StructuralCompliance(JointwiseDisplacement):
 
     @classmethod
     def of_resonances(cls, scene: Scene, joints: tuple[str, ...]) -> StructuralCompliance:
-        """Return the effect with all proposed modes on these joints; there must be one mode."""
+        """Return the effect with all proposed modes on these joints; there must be at least one mode."""
         plain = cls(joints, [scene.units[scene.index(joint)] for joint in joints])
         return plain.with_settings(**cls.proposal(scene, joints))
 
     @classmethod
     def proposal(cls, scene: Scene, joints: tuple[str, ...]) -> dict[str, float]:
-        """Return the settings that hold all proposed modes as they are proposed; there must be one."""
+        """Return the settings of all proposed modes, unchanged; there must be at least one mode."""
         return _around(scene.resonances[:MAX_MODES], _whole(scene) if len(joints) > 1 else {})[1]
 
 
 def _whole(scene: Scene) -> dict[str, float]:
-    """Return what makes it a structure's: with a measured tool, whose place the masses do not share, of full matrices."""
+    """Return the settings of a structure's modes: with full matrices if a tool is measured, at another point than the masses."""
     return {"coupled": 1, "rest": 1, "reciprocal": 0 if "tool" in scene.signals else 1}
 
 
 def compute_swinging_response(F: np.ndarray, t: np.ndarray | None, frequency: float, damping: float) -> np.ndarray:
-    """Return the response (N, n) of unit springs and masses to forces (N, n) that go in straight lines from sample to sample.
+    """Return the response (N, n) of unit springs and masses to forces (N, n) that are linear between samples.
 
     Args:
         F: Forces [N or N m].
@@ -237,11 +239,11 @@ def compute_swinging_response(F: np.ndarray, t: np.ndarray | None, frequency: fl
 
 
 def _felt(motion: Motion | JointMotion, frequency: float) -> np.ndarray:
-    """Return the force that a mode answers to.
+    """Return the force to which a mode responds.
 
-    Quasi-statically the load's acceleration is a fourth derivative of the encoder's reading, of which only the clear part is
-    of use. A mode within that band weakens what is above its own frequency; for it, cutting the force off would bend its
-    resonance.
+    Quasi-statically the load's acceleration is a fourth derivative of the encoder's reading, of which only the part above the
+    noise is of use. A mode within that band attenuates signals above its own frequency; for it, a low-pass of the force would
+    distort its resonance.
     """
     clear = motion.signals.get("clear_hz")
     if clear is not None and frequency < clear[0]:

@@ -6,13 +6,13 @@ with `F` the force of the model without the effect and `about` the setting near 
 and amplitude agree, and diagnosis fits them as one number (`Effect.matched`). One clock or filter mostly serves all drives, so an
 instance over all joints has one parameter, named after `drive`.
 
-Delay, positive for forces logged late: up to 1 ms the difference is taken to both sides,
-`(F(t - about) - F(t + about)) / (2 about)`, because its even part, a smoothed force less itself, is there what any mismatch of
-filters looks like. Beyond, the even part tells a late force from a smoothed one, surely from 5 ms up.
+Delay, positive for forces logged late: up to 1 ms the difference is symmetric, `(F(t - about) - F(t + about)) / (2 about)`,
+because its even part, a smoothed force less itself, resembles any mismatch of filters there. Beyond 1 ms, the even part
+distinguishes a late force from a smoothed one, reliably from 5 ms up.
 
-Low-pass, `T d tau_log / dt = tau - tau_log`: it turns slow forces like a delay of the same length, and makes fast ones smaller,
-by (w T)^2 / (1 + (w T)^2) at w, which a delay does not. It starts settled. Reference: Dressler 2012, 6.3; Ljung 1999, 13.3
-(prefilters); Swevers, Verdonck & De Schutter 2007 (filters of actuator data in robot identification).
+Low-pass, `T d tau_log / dt = tau - tau_log`: it shifts slow forces like a delay of the same length, and attenuates fast ones,
+by (w T)^2 / (1 + (w T)^2) at w, which a delay does not. It starts in the steady state. Reference: Dressler 2012, 6.3; Ljung
+1999, 13.3 (prefilters); Swevers, Verdonck & De Schutter 2007 (filters of actuator data in robot identification).
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ from tau_dyn.parameters import Parameter, Parameters
 
 
 class TimingEffect(Effect):
-    """Forces that are logged with their time changed."""
+    """Forces that are logged with wrong timing."""
 
     amplitude: ClassVar[str]
-    """What the parameter's name says after its owner."""
+    """The parameter's name after its owner."""
     kind: ClassVar[int]
-    """Its place in `Scene.timing`: 0 a delay, 1 a time constant."""
+    """Its index in `Scene.timing`: 0 for a delay, 1 for a time constant."""
 
     @abstractmethod
     def difference(self, force: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Return by how much a logged force (N,) differs from the force, per second of the amplitude, at even times (N,)."""
+        """Return the difference between a logged force (N,) and the force, per second of the amplitude, at even times (N,)."""
 
     @classmethod
     def groups(cls, scene: Scene) -> list[tuple[str, ...]]:
@@ -49,7 +49,7 @@ class TimingEffect(Effect):
 
     @classmethod
     def propose(cls, scene: Scene, joints: tuple[str, ...]) -> float | None:
-        """Return the time that fits the baseline best, where it is the same for these joints and not zero."""
+        """Return the time that fits the baseline best, if it is the same for these joints and not zero."""
         found = {scene.timing.get(joint, (0.0, 0.0))[cls.kind] for joint in joints}
         return found.pop() if len(found) == 1 and any(found) else None
 
@@ -81,16 +81,16 @@ class TimingEffect(Effect):
 _ODD_MS = (0.5,)
 """Delays tried with the odd difference, which is the same for both signs."""
 _FULL_MS = (2.0, 5.0, 10.0, 20.0, 35.0, 50.0, 70.0, 100.0)
-"""Delays tried with the full difference, a third of a turn of 10 Hz apart where they are short; one search between neighbours
-does the rest."""
+"""Delays tried with the full difference, in steps of a third of a period of 10 Hz if short; one search between neighbours does
+the rest."""
 MAX_ODD_S = 1e-3
-"""Delay up to which only the odd part counts; of a motion at 5 Hz the even part is 2 % of it there."""
+"""Delay up to which only the odd part is used; for a motion at 5 Hz the even part is 2 % of it there."""
 MAX_TWIN_S = 5e-3
-"""Delay up to which a low-pass of the same length is its twin; of a motion at 2 Hz they differ by 3 % of themselves."""
+"""Delay up to which a low-pass of the same length is indistinguishable; for a motion at 2 Hz the two differ by 3 %."""
 _MAX_LEAD_S = 1e-2
-"""Lead up to which a voltage's inductance is its twin; of a motion at 2 Hz they differ by 1 % of the force there."""
+"""Lead up to which a voltage's inductance is indistinguishable; for a motion at 2 Hz the two differ by 1 % of the force."""
 _MAX_SHARE = 0.01
-"""Share of the recording that a delay may take: so much of its ends is not known."""
+"""Largest delay, as a share of the recording: that much of its ends is unknown."""
 
 
 class Delay(TimingEffect):
@@ -104,7 +104,7 @@ class Delay(TimingEffect):
     reveals = "quick reversals and accelerations that change fast, such as a multisine"
     mistaken_for = ("clock_offset", "drive_lag", "link_mass", "payload", "joint_compliance")
     equivalent: tuple[str, ...] = ("clock_offset",)
-    # Drives, buses and loggers; more is another recording
+    # Drives, buses and loggers; a longer delay means another recording
     plausible = (PlausibleRange("delay", -0.1, 0.1, "s"),)
     needs = ("force",)
     amplitude = "delay"
@@ -115,7 +115,7 @@ class Delay(TimingEffect):
     open_ends = {"about": "both"}
 
     def __init__(self, joints: Iterable[str], units: Iterable[str], *, label: str = "", **settings: float) -> None:
-        """Delay the forces of these joints alike; see `Effect.__init__`."""
+        """Delay the forces of these joints equally; see `Effect.__init__`."""
         super().__init__(joints, units, label=label, **settings)
         if self.settings["about"] == 0:
             raise InputError("invalid_value", "setting about of effect delay must not be zero; its sign is the delay's")
@@ -126,12 +126,12 @@ class Delay(TimingEffect):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return delays of both signs, none longer than a hundredth of the recording."""
+        """Return delays of both signs, at most a hundredth of the recording."""
         odd, full = ([x for x in ms if 1e-3 * x <= _MAX_SHARE * scene.duration] for ms in (_ODD_MS, _FULL_MS))
         return [{"about": 1e-3 * x} for x in (*(-x for x in reversed(full)), *odd, *full)]
 
     def difference(self, force: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Return the force of `about` ago less the force now, or than that of `about` ahead, per second (N,)."""
+        """Return the force `about` earlier minus the present one, or minus that `about` later, per second (N,)."""
         about = self.settings["about"]
         before = np.interp(t - about, t, force)
         if abs(about) > MAX_ODD_S:
@@ -139,7 +139,7 @@ class Delay(TimingEffect):
         return (before - np.interp(t + about, t, force)) / (2 * about)
 
     def describe(self, parameters: Parameters) -> str:
-        """Return by how much forces are late or early."""
+        """Return the delay or lead of forces."""
         p = parameters[self.parameters.names[0]]
         which = "forces" if len(self.joints) == 1 else f"forces of {', '.join(self.joints)}"
         return f"{which} logged {format_amount(p)} after the positions" + (
@@ -148,16 +148,17 @@ class Delay(TimingEffect):
 
 
 _LAGS_MS = (5.0, 10.0, 20.0, 45.0, 100.0)
-"""Time constants tried, a factor 2 to 3 apart; one search between neighbours does the rest. A shorter low-pass is called a
-delay of the same length: what is left of the difference is what noise of the encoders in the predicted force looks like, too."""
+"""Time constants tried, in steps of a factor 2 to 3; one search between neighbours does the rest. A shorter low-pass is
+reported as a delay of the same length: the remaining difference resembles encoder noise in the predicted force."""
 _MAX_TWIN_LAG_S = 7e-3
-"""Time constant up to which a delay is its twin; a little above the end of the grid, at which a shorter one would end."""
+"""Time constant up to which a delay is indistinguishable; a little above the end of the grid, at which a shorter one would
+end."""
 _MAX_LAG_SHARE = 0.01
-"""Share of the recording that a time constant may take: five of them pass at its begin until the low-pass has settled."""
+"""Largest time constant, as a share of the recording: the low-pass needs five of them at the start to settle."""
 
 
 class DriveLag(TimingEffect):
-    """Forces logged behind a low-pass."""
+    """Forces logged after a low-pass."""
 
     name = "drive_lag"
     cause = True
@@ -178,18 +179,18 @@ class DriveLag(TimingEffect):
     open_ends = {"about": "high"}
 
     def __init__(self, joints: Iterable[str], units: Iterable[str], *, label: str = "", **settings: float) -> None:
-        """Low-pass the forces of these joints alike; see `Effect.__init__`."""
+        """Low-pass the forces of these joints equally; see `Effect.__init__`."""
         super().__init__(joints, units, label=label, **settings)
         if self.settings["about"] <= _MAX_TWIN_LAG_S:
             self.equivalent = ("delay", "clock_offset")
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return time constants from 5 to 100 ms, none longer than a hundredth of the recording."""
+        """Return time constants from 5 to 100 ms, at most a hundredth of the recording."""
         return [{"about": 1e-3 * x} for x in _LAGS_MS if 1e-3 * x <= _MAX_LAG_SHARE * scene.duration]
 
     def difference(self, force: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Return the low-passed force less the force, per second of the time constant (N,)."""
+        """Return the low-passed force minus the force, per second of the time constant (N,)."""
         return (apply_first_order_lowpass(force, t, self.settings["about"]) - force) / self.settings["about"]
 
     def describe(self, parameters: Parameters) -> str:
@@ -200,9 +201,9 @@ class DriveLag(TimingEffect):
 
 
 def apply_first_order_lowpass(x: np.ndarray, t: np.ndarray, time_constant: float) -> np.ndarray:
-    """Return a signal (N,) behind a first-order low-pass [s], settled at the first sample of an even clock (N,) [s].
+    """Return a signal (N,) after a first-order low-pass [s], in steady state at the first sample of an even clock (N,) [s].
 
-    Exact for a signal that is straight between samples (first-order hold; Franklin, Powell & Workman 1998, 6.3).
+    Exact for a signal that is linear between samples (first-order hold; Franklin, Powell & Workman 1998, 6.3).
     """
     if len(t) < 2 or time_constant <= 0:
         return x

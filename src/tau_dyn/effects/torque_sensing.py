@@ -1,20 +1,21 @@
-r"""Forces that a drive reports otherwise than it gives them: its constant falls with the force, or other drives leak in.
+r"""Reported forces that differ from the true ones: the drive's constant decreases with the force, or other drives leak in.
 
 A motor's iron saturates: the current grows faster than the torque, and a force that is logged as current times a constant is
 too large at high force. To the lowest odd order
 
     tau_log = tau + torque_saturation tau (tau / largest)^2,
 
-with the joint's largest force as a setting, so that the amplitude is the share that the log adds to it. Friction in proportion
-to the load (`load_friction`) has the sign of the speed, this has the sign of the force, whichever way the joint moves.
+with the joint's largest force as a setting, so that the amplitude is the share that the log adds to it. Friction proportional
+to the load (`load_friction`) has the sign of the speed; this effect has the sign of the force in both directions of motion.
 
 Cross-talk of current sensors, or of strain gauges in one housing, adds a share of another joint's force:
 
     tau_log_i = tau_i + torque_crosstalk tau_k.
 
-A motor that two joints share (`reducer_coupling`) loads both of them alike, with its own inertia and friction only; cross-talk
-carries gravity as well, into one of them. Both forces here are those of the fitted model and not the measured ones, whose noise
-would be in the column and in the residual. Reference: Gautier & Briot 2014; Hughes & Drury 2013, ch. 3; Gautier & Venture 2013.
+A motor that two joints share (`reducer_coupling`) loads both of them equally, with its own inertia and friction only;
+cross-talk also carries gravity, into one of them. Both forces here are those of the fitted model and not the measured ones,
+whose noise would be in the column and in the residual. Reference: Gautier & Briot 2014; Hughes & Drury 2013, ch. 3; Gautier &
+Venture 2013.
 """
 
 from __future__ import annotations
@@ -30,11 +31,11 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter, Parameters
 
 DELIVERED = "delivered_force"
-"""Signal (N, na) [N or N m]: force that the drives give, the model refitted beside a saturation of all of them."""
+"""Signal (N, na) [N or N m]: force that the drives deliver, by a model refitted together with a saturation of all of them."""
 
 
 class ForceReading(Effect):
-    """An effect that distorts the force in the log; the robot gets the force itself."""
+    """An effect that distorts the force in the log; the robot receives the true force."""
 
     @property
     def measured(self) -> bool:
@@ -43,7 +44,7 @@ class ForceReading(Effect):
 
 
 class TorqueSaturation(ForceReading, JointwiseEffect):
-    """A force that is reported too large in proportion to its cube."""
+    """A force that is reported too large by a term proportional to its cube."""
 
     name = "torque_saturation"
     cause = True
@@ -87,7 +88,7 @@ class TorqueCrosstalk(ForceReading):
     reference = "Gautier & Venture 2013"
     reveals = "motion of the other joint alone, the first one held still at several places"
     mistaken_for = ("reducer_coupling", "link_mass", "gravity_direction", "joint_zero")
-    # Sensors are decoupled to a few per cent; a third is a matrix that was never applied
+    # Sensors are decoupled to a few per cent; a third means a decoupling matrix that was never applied
     plausible = (PlausibleRange("torque_crosstalk", -0.3, 0.3),)
     needs = ("force",)
 
@@ -112,7 +113,7 @@ class TorqueCrosstalk(ForceReading):
 
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
-        """Return that there is no other joint of the same kind, where so."""
+        """Return that there is no other joint of the same kind, if so."""
         return (
             super().untestable(scene) if cls.groups(scene) else ("no two joints have forces of one kind", NO_EXPERIMENT)
         )
@@ -125,6 +126,6 @@ class TorqueCrosstalk(ForceReading):
         return out
 
     def describe(self, parameters: Parameters) -> str:
-        """Return whose force leaks into which log."""
+        """Return the joint whose force leaks, and the joint in whose log it appears."""
         (share,) = parameters.select(self.parameters.names)
         return f"{format_percent(share)} of the force of {self.joints[1]} in the logged force of {self.joints[0]}"

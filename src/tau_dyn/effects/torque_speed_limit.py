@@ -1,13 +1,14 @@
-"""A motor's torque-speed line, where the log holds the torque that was asked for and not the one that was delivered.
+"""A motor's torque-speed line, for logs that hold the commanded torque instead of the delivered one.
 
 A motor on a given supply delivers less torque the faster it turns: in the direction of motion at most
 
-    limit(v) = stall (1 - |v| / no_load),     nothing beyond no_load.
+    limit(v) = stall (1 - |v| / no_load),     zero beyond no_load.
 
-Logged is what the controller asked for. Of it `excess = sign(v) max(0, sign(v) tau_log - limit(v))` never reached the joint, so
-`tau_log = model + excess`. The logged force stands in its own column: a line laid through the noise of a steady force would lose
-half of that noise. So the line is not searched for; it is that of the robot file's effort and velocity limits. Beyond a line that
-is none, only a few per cent of the excess are lost, so a share near one is the cause. Reference: Hughes & Drury 2013, ch. 3.
+The log holds the command of the controller. Its part `excess = sign(v) max(0, sign(v) tau_log - limit(v))` never reached the
+joint, so `tau_log = model + excess`. The column depends on the logged force: a line within the noise of a steady force would
+remove half of that noise. So the line is not searched for; it is that of the robot file's effort and velocity limits. Beyond a
+line that is not the motor's, only a few per cent of the excess are lost, so a share near one confirms the cause. Reference:
+Hughes & Drury 2013, ch. 3.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ from tau_dyn.effects.motion import JointMotion, JointScales, Scene
 from tau_dyn.parameters import Parameter, Parameters
 
 REPORTED = "reported_force"
-"""Signal (N, na) [N or N m]: the force that the log holds, low-passed as positions are."""
+"""Signal (N, na) [N or N m]: the logged force, low-passed like positions."""
 _OFF = 0.3
 """Distance of the lost share from one within which it is the cause: a line fitted to noise loses a few per cent of its excess."""
 
 
 class TorqueSpeedLimit(JointwiseEffect):
-    """Force asked for beyond a motor's torque-speed line."""
+    """Commanded force beyond a motor's torque-speed line."""
 
     name = "torque_speed_limit"
     cause = True
@@ -36,7 +37,7 @@ class TorqueSpeedLimit(JointwiseEffect):
     reference = "Hughes & Drury 2013, ch. 3"
     reveals = "accelerations at speed beyond what the motor gives, its stall force and no-load speed in the robot file as limits"
     mistaken_for = ("drive_gain", "quadratic_drag", "viscous_curvature", "drive_lag")
-    # All of what lies beyond the line is lost
+    # All torque beyond the line is lost
     plausible = (PlausibleRange("lost", 1 - _OFF, 1 + _OFF),)
     needs = (REPORTED,)
     quantities = (("lost", "1"),)
@@ -47,7 +48,7 @@ class TorqueSpeedLimit(JointwiseEffect):
 
     @property
     def measured(self) -> bool:
-        """The log holds what was asked for; the robot gets less."""
+        """The log holds the command; the robot receives less."""
         return True
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
@@ -56,23 +57,23 @@ class TorqueSpeedLimit(JointwiseEffect):
         return [joint.sign * np.maximum(0.0, joint.sign * joint.signal(REPORTED) - limit)]
 
     def find_implausible(self, parameters: Parameters, scales: JointScales, margin: float = 1.0) -> str:
-        """Return that the lost share is far from one, in the search as well: there is no wide range of it."""
+        """Return that the lost share is far from one; the search does not widen this range."""
         return super().find_implausible(parameters, scales)
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return the line and what is lost beyond it."""
+        """Return the line and the loss beyond it."""
         stall, no_load = self.setting("stall", joint), self.setting("no_load", joint)
         lost = format_percent(values["lost"])
         return f"a force limit from {stall} at rest to 0 at {no_load}; of the logged force beyond it {lost} are lost"
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return the line of the robot file, where it gives one."""
+        """Return the line of the robot file, if it gives one."""
         line = scene.limits.get(joints[0])
         return [{"stall": line[0], "no_load": line[1]}] if line else []
 
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
-        """Return that the robot file gives no line, where so."""
+        """Return that the robot file gives no line, if so."""
         missing = ("the robot file gives no effort and velocity limits, which are the line's ends", cls.reveals)
         return super().untestable(scene) if any(joint in scene.limits for joint in scene.joints) else missing

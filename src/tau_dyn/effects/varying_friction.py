@@ -1,17 +1,17 @@
-"""Friction that follows more than the joint's speed: temperature, campaign, place, passive bearings.
+"""Friction that depends on more than the joint's speed: temperature, campaign, position, passive bearings.
 
-The temperature's lag starts in equilibrium at the first sample; without a clock the temperature given is taken for it. Its
-reference only moves Coulomb and viscous friction. A campaign is one log, numbered from zero in the order given.
+The temperature's lag starts in equilibrium at the first sample; without a clock the given temperature is used. Its reference
+value only shifts Coulomb and viscous friction. A campaign is one log, numbered from zero in the order given.
 
-Friction of the place is a sum of Legendre polynomials, nearly independent of each other where the joint visits its range evenly;
-P_0 is Coulomb friction itself. Beyond the range it stays as at its end.
+Position-dependent friction is a sum of Legendre polynomials, nearly independent of each other if the joint covers its range
+evenly; P_0 is Coulomb friction itself. Beyond the range it is constant.
 
-A passive bearing turns with `w = P v`, `P` from the loops (`Mechanism.passive_rates`); by virtual work the motors add `P'` times
-its friction, with one pair of coefficients for all bearings. `w / |w|` reverses with the bearing, not with a joint: when all
-carts move alike, no rod turns. There the direction is noise; identification leaves such samples out (`other_speeds`), a smoothed
-sign (feedforward) fades with the fastest joint's, and the simulator takes the force at the current speed, so that it brakes but
-cannot hold. Reference: Dressler 2012, 6.2; Bittencourt & Gunnarsson 2012; Khalil & Dombre 2002, 9.6
-and ch. 10 (virtual work).
+A passive bearing turns with `w = P v`, `P` from the loops (`Mechanism.passive_rates`); by virtual work the motors add `P'`
+times its friction, with one pair of coefficients for all bearings. `w / |w|` reverses with the bearing, not with a joint: when
+all carts move equally, no rod turns. Then the direction is noise; identification leaves such samples out (`other_speeds`), a
+smoothed sign (feedforward) fades with the fastest joint's, and the simulator takes the force at the current speed, so that it
+brakes but cannot hold. Reference: Dressler 2012, 6.2; Bittencourt & Gunnarsson 2012; Khalil & Dombre 2002, 9.6 and ch. 10
+(virtual work).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from tau_dyn.effects.jointwise import JointwiseEffect
 from tau_dyn.effects.motion import JointMotion, Motion, Scene
 from tau_dyn.parameters import Parameter, Parameters
 
-_MIN_LAG_S = 3.0  # s; a quicker drift is no matter of temperature
+_MIN_LAG_S = 3.0  # s; a faster drift is not due to temperature
 _LAG_STEP = 2.0  # ratio of neighbouring time constants tried; refinement does the rest
 
 
@@ -39,7 +39,7 @@ class ThermalDrift(JointwiseEffect):
     reference = "Dressler 2012, 6.2; Bittencourt & Gunnarsson 2012"
     reveals = "the same motion repeated from cold to warm, with a column temp_JOINT or temp_room in the log"
     mistaken_for = ("friction_change", "position_friction", "viscous_asymmetry")
-    # Grease loses 3 to 8 % of its friction a kelvin when cold, less when warm (Bittencourt & Gunnarsson 2012)
+    # Grease loses 3 to 8 % of its friction per kelvin when cold, less when warm (Bittencourt & Gunnarsson 2012)
     plausible = (
         PlausibleRange("thermal_coulomb", -0.1, 0.05, of="coulomb"),
         PlausibleRange("thermal_viscous", -0.1, 0.05, of="viscous"),
@@ -59,7 +59,7 @@ class ThermalDrift(JointwiseEffect):
         return [joint.sign * warmth, joint.v * warmth]
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return the change a kelvin and the lag."""
+        """Return the change per kelvin and the lag."""
         lag = self.settings["lag"]
         late = f", {format_quantity(lag, 's')} behind the sensor" if lag > 0 else ""
         coulomb, viscous = values["thermal_coulomb"], values["thermal_viscous"]
@@ -67,7 +67,7 @@ class ThermalDrift(JointwiseEffect):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return no lag, and lags from 3 s to a third of the recording, a factor 2 apart."""
+        """Return no lag, and lags from 3 s to a third of the recording, in steps of a factor 2."""
         longest = scene.duration / 3
         count = 1 + int(np.ceil(np.log(longest / _MIN_LAG_S) / np.log(_LAG_STEP))) if longest > _MIN_LAG_S else 0
         return [{"lag": 0.0}, *({"lag": float(x)} for x in np.geomspace(_MIN_LAG_S, longest, count))]
@@ -85,7 +85,7 @@ def filter_first_order(temperature: np.ndarray, t: np.ndarray | None, lag: float
 
 
 class FrictionChange(JointwiseEffect):
-    """Coulomb and viscous friction that one log has beyond the others."""
+    """Additional Coulomb and viscous friction in one log."""
 
     name = "friction_change"
     cause = True
@@ -108,7 +108,7 @@ class FrictionChange(JointwiseEffect):
         return [joint.sign * here, joint.v * here]
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return what changed in which log."""
+        """Return the change and its log."""
         coulomb, viscous = values["coulomb_change"], values["viscous_change"]
         return (
             f"friction in log {1 + int(self.settings['number'])} that differs from the others' by "
@@ -117,19 +117,19 @@ class FrictionChange(JointwiseEffect):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return each log; of two, the second, since the first differs from it by as much."""
+        """Return each log; for two logs only the second, since the first differs from it by the same amount."""
         first = 0 if scene.campaigns > 2 else 1
         return [{"number": float(k)} for k in range(first, scene.campaigns)]
 
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
-        """Return that one log has nothing to differ from."""
+        """Return that a single log has no other log to differ from."""
         return ("there is only one training log", cls.reveals) if scene.campaigns < 2 else super().untestable(scene)
 
 
 _DEGREES = (2, 5, 8, 12)
 _SECONDS = 3.0
-"""Motion that each term needs, to see its part of the way in both directions more than once."""
+"""Duration of motion [s] for each term, to cover its part of the range in both directions more than once."""
 
 
 class PositionFriction(JointwiseEffect):
@@ -141,7 +141,7 @@ class PositionFriction(JointwiseEffect):
     reference = "Dressler 2012, 6.2; Khalil & Dombre 2002, 9.6"
     reveals = "slow constant-speed strokes over the whole range, in both directions"
     mistaken_for = ("load_friction", "thermal_drift", "cyclic_ripple", "passive_joint_friction")
-    # Friction stays positive at each place
+    # Friction remains positive at each position
     plausible = (PlausibleRange("position_friction", -1.0, 1.0, of="coulomb"),)
     quantities = ()
     defaults = {"middle": 0.0, "half": 1.0, "degree": 2}
@@ -151,7 +151,7 @@ class PositionFriction(JointwiseEffect):
 
     @property
     def terms(self) -> tuple[tuple[str, str], ...]:
-        """One amplitude a degree, from one up."""
+        """One amplitude per degree, from degree one up."""
         return tuple((f"position_friction_{k}", "F") for k in range(1, int(self.settings["degree"]) + 1))
 
     def per_joint(self, joint: JointMotion) -> list[np.ndarray]:
@@ -160,7 +160,7 @@ class PositionFriction(JointwiseEffect):
         return [joint.sign * P[:, k] for k in range(P.shape[1])]
 
     def words(self, joint: str, values: Mapping[str, Parameter]) -> str:
-        """Return where friction is lowest and highest, relative to its mean over the range."""
+        """Return the positions of lowest and highest friction, relative to its mean over the range."""
         q = self.settings["middle"] + self.settings["half"] * np.linspace(-1, 1, 201)
         friction = self._polynomials(q) @ np.array([p.value for p in values.values()])
         force, place = self.units[joint], spell_unit("Q", self.units[joint])
@@ -171,7 +171,7 @@ class PositionFriction(JointwiseEffect):
         )
 
     def lookalikes(self) -> list[Effect]:
-        """Return viscous friction that differs along the way in the same manner: `v` in place of `sign(v)`."""
+        """Return viscous friction with the same dependence on the position: `v` in place of `sign(v)`."""
         return [_PositionDrag(self.joints, self.units.values(), label=self.label, **self.settings)]
 
     def _polynomials(self, q: np.ndarray) -> np.ndarray:
@@ -182,7 +182,7 @@ class PositionFriction(JointwiseEffect):
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
         """Return laws from a parabola to one with three waves over the range that is often travelled.
 
-        Where the joint hardly ever was, a polynomial of its own would say anything.
+        In a range that the joint rarely visited, a polynomial would be arbitrary.
         """
         low, high = scene.range_of(joints[0])
         if not low < high:
@@ -192,7 +192,7 @@ class PositionFriction(JointwiseEffect):
 
 
 class _PositionDrag(PositionFriction):
-    """Viscous friction as a polynomial of the position; too rare to be a cause, and a look-alike of one."""
+    """Viscous friction as a polynomial of the position; too rare to be a cause, and similar to one."""
 
     name = "position_drag"
     cause = False
@@ -231,7 +231,7 @@ class PassiveJointFriction(Effect):
 
     @classmethod
     def untestable(cls, scene: Scene) -> tuple[str, str] | None:
-        """Return that there are no passive joints, where so."""
+        """Return that there are no passive joints, if so."""
         return (
             None if "passive" in scene.signals else ("the robot has no loops and so no passive joints", NO_EXPERIMENT)
         )
@@ -252,9 +252,10 @@ class PassiveJointFriction(Effect):
         return f"friction of {coulomb} and {viscous} in every joint without a motor"
 
     def other_speeds(self, motion: Motion) -> list[tuple[np.ndarray, list[int]]]:
-        """Return each bearing's speed as the joints' speeds that would turn it so: `|w| / |P|`.
+        """Return each bearing's speed, converted to the joints' speed that causes it: `|w| / |P|`.
 
-        A bearing with one axis has a sign to lose. With more, the direction is unsure where `|w|` is within the noise.
+        The sign of a bearing with one axis may be uncertain. With more axes, the direction is uncertain if `|w|` is within the
+        noise.
         """
         found = []
         joints = list(range(motion.v.shape[1]))

@@ -1,4 +1,4 @@
-"""Verdicts from one body of evidence: hypotheses, null model, selection, confirmation, gain, detection limits, structure."""
+"""Statistical judgement of hypotheses: hypotheses, null model, selection, confirmation, gain, detection limits, structure."""
 
 from lazy_loader import attach_stub
 

@@ -1,13 +1,13 @@
-r"""Changes between campaigns: effects that one log has and the others do not have, of several kinds that compete.
+r"""Changes between campaigns: effects in one log but not in the others, of several competing kinds.
 
     y_k = W_k theta + [k = log] C_k x,     k = 1 .. K logs
 
 A log is one campaign. Each kind of change (a body at the tool, friction of a joint, a mass of a link, a force scale of a joint)
-has columns `C`; everything else is shared by all logs. The score test of `x = 0` is that of the null model. Chance counts all
-logs and kinds (Bonferroni), and the statistic is divided by the scatter of blocks. The change with the largest penalised
-statistic is accounted for first, and the others are tested again. One kind may have a larger prior: tools change more often than
-links and drives do. It is taken in place of a stronger one wherever it explains all that the log has of its own. Reference: Rao
-1948 (score test); White 1980.
+has columns `C`; everything else is shared by all logs. The score test of `x = 0` is that of the null model. p-values are
+corrected for all logs and kinds (Bonferroni), and the statistic is divided by the scatter of blocks. The change with the
+largest penalised statistic is added first, and the others are tested again. One kind may have a larger prior: tools change more
+often than links and drives do. It replaces a stronger kind if it explains the whole difference of the log. Reference: Rao 1948
+(score test); White 1980.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from tau_dyn.evidence.result import DIFFERENCE_LEVEL, Gain
 from tau_dyn.parameters import Parameter, Parameters
 
 MIN_LEFT_P_VALUE = 1e-3
-"""Chance of what a change leaves of a log's difference, above which it explains all of it."""
+"""p-value of a log's remaining difference above which a change explains the whole difference."""
 MIN_EXPLAINED_SHARE = 0.9
-"""Or share of a log's difference that it explains: model errors make differences between motions that no noise model knows of."""
+"""Or share of a log's difference that it explains: model errors cause differences between motions beyond any noise model."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +40,9 @@ class CampaignChange:
     Attributes:
         kind: Its name.
         log: The log.
-        statistic: Its score statistic, in units of the noise, blocks' scatter counted.
-        dof: Amplitudes that count.
-        p_value: Chance on equal logs, all logs and kinds counted.
+        statistic: Its score statistic, in units of the noise, divided by the scatter of blocks.
+        dof: Number of identifiable amplitudes.
+        p_value: p-value on equal logs, corrected for all logs and kinds.
         explains: Whether it explains all differences of this log.
     """
 
@@ -55,7 +55,7 @@ class CampaignChange:
 
     @property
     def penalised_statistic(self) -> float:
-        """The statistic less the cost of its amplitudes."""
+        """The statistic minus the cost of its amplitudes."""
         return self.statistic - 2 * self.dof
 
 
@@ -83,9 +83,9 @@ class CampaignChannel(Measurements):
 
 
 def divide_every_log(channel: Measurements, gap_s: float) -> tuple[np.ndarray, ...]:
-    """Return parts in which every log is trained on and tested on.
+    """Return parts that divide every log into training and test data.
 
-    Of a training log a quarter of the blocks is tested on, of the others their test part.
+    The test data are a quarter of the blocks of a training log, and the test part of the other logs.
     """
     inner = divide_training(channel.runs, channel.parts, gap_s)
     found = []
@@ -105,7 +105,7 @@ def select_campaign_changes(
     companions: Sequence[str] = (),
     reference: bool = False,
 ) -> list[CampaignChange]:
-    """Return the changes that the training part shows, the strongest first.
+    """Return the significant changes in the training part, the strongest first.
 
     Args:
         channel: The measurements, with the columns that all logs share.
@@ -113,8 +113,8 @@ def select_campaign_changes(
         kinds: Columns (n, m, k) of each run, by kind.
         logs: The logs that may have changed.
         likelier: The kind with the larger prior.
-        companions: Kinds that change for reasons of their own; they do not count against the likelier kind.
-        reference: Whether the channel holds a reference that did not change; else one of the logs is it.
+        companions: Kinds that change for other reasons; they do not count against the likelier kind.
+        reference: Whether the channel contains an unchanged reference; otherwise one of the logs is the reference.
     """
     found: list[CampaignChange] = []
     own = [kinds[kind] for kind in companions]
@@ -165,7 +165,7 @@ def _explains(
     accounted: Sequence[Sequence[np.ndarray]],
     whole: Sequence[np.ndarray],
 ) -> bool:
-    """Return whether a change, with its companions accounted for, explains all or nearly all that its log has of its own."""
+    """Return whether a change, with its companions in the model, explains all or nearly all of its log's difference."""
     for number, columns in enumerate(accounted):
         channel = channel.with_change(replace(one, kind=f"{one.kind} {number}"), columns)
     left, dof = compute_score(
@@ -211,14 +211,14 @@ def compute_campaign_gain(
     rng: np.random.Generator,
     shown: Confirmation,
 ) -> Gain:
-    """Return how much smaller the error in some logs is on the test samples; zero without any.
+    """Return the reduction of the error in some logs on the test samples; zero without test samples.
 
     Args:
         channel: The measurements.
         logs: The logs.
         before: Residuals (n, m) of each run without the change.
         after: The same with it.
-        rng: For the bootstrap.
+        rng: Random numbers of the bootstrap.
         shown: Share of the predicted force that these samples show.
     """
     parts = tuple(np.where(run.name in logs, part, -1) for run, part in zip(channel.runs, channel.parts, strict=True))
@@ -229,15 +229,15 @@ def compute_campaign_gain(
 
 
 def explain_misfit(channel: CampaignChannel, logs: Sequence[str], gain: Gain) -> str:
-    """Return why a change in some logs is not claimed next to a model that misses more there for other reasons; else nothing.
+    """Return the reason why a change in some logs is not claimed if the model's remaining error is larger; empty otherwise.
 
-    A model that misses more than `MAX_MISSED_SHARE` of the force lacks a force, and any other column takes part of it up. Of such
-    a model only a change is believed that exerts as much force in these logs as the model misses with it.
+    A model with an error of more than `MAX_MISSED_SHARE` of the force lacks a force, and any other column absorbs part of it.
+    With such a model a change is accepted only if it exerts as much force in these logs as the remaining error.
 
     Args:
         channel: The measurements.
         logs: The logs.
-        gain: Of the change, in these logs.
+        gain: Gain of the change, in these logs.
     """
     runs = list(zip(channel.runs, channel.masks(TEST), strict=True))
     forces = [run.y[mask] for run, mask in runs if run.name in logs]

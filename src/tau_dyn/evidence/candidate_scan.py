@@ -1,9 +1,9 @@
 r"""The scan of candidates: the statistic of every cause on every group of joints with every setting, and its p-value.
 
-For each cause and group the best setting's `T` counts. The search over settings is calibrated by draws of
-white noise put through the same projection: the largest of many correlated `T` is distributed as that of `m` independent ones,
-`P(T <= t) = F(t)^m`, and `m` is fitted to the draws (maximum likelihood), so that its tail reaches beyond them. A cause's p-value
-takes the better of its best group alone and of all groups together.
+The statistic of a cause and group is the `T` of the best setting. The search over settings is calibrated by draws of white
+noise put through the same projection: the largest of many correlated `T` is distributed as that of `m` independent ones,
+`P(T <= t) = F(t)^m`, and `m` is fitted to the draws (maximum likelihood), so that its tail reaches beyond them. A cause's
+p-value takes the better of its best group alone and of all groups together.
 
 `T` is divided by the overdispersion: the variance of the scores of 2 s blocks over their variance under the noise model (White
 1980), at least 1.
@@ -29,12 +29,12 @@ from tau_dyn.evidence.null_model import (
 )
 
 FAMILY_LEVEL = 0.05
-"""Chance of any cause in the training data of clean logs; confirmation on other data multiplies it by its own level."""
+"""Family-wise significance level of causes on the training data; confirmation on other data multiplies it by its own level."""
 GROUP_LEVEL = 0.01
-"""Level at which a further joint joins a cause."""
+"""Significance level at which a further joint is added to a cause."""
 MIN_SHARE_OF_STRONGEST = 0.1
-"""Share of the strongest group's evidence that a further one needs to join at once; a weaker one gets its chance in the next
-round, when the strong one is accounted for and nothing of it can leak over."""
+"""Share of the strongest group's evidence that a further group needs to be added at once; a weaker one is tested in the next
+round, when the strong one is in the model and no part of its effect can leak over."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +44,11 @@ class GroupTest:
     Attributes:
         effect: The effect at its best setting.
         statistic: Its score statistic, in units of the noise.
-        n_effective_tests: Number `m` of independent tries that the search over settings amounts to.
-        dof: Columns.
+        n_effective_tests: Effective number `m` of independent tests in the search over settings.
+        dof: Number of columns.
         overdispersion: Scatter of the blocks over their variance under the noise model, at least 1.
         noise: The statistic of the best setting on each noise draw (D,).
-        neighbours: The settings before and after the best one in the grid, where there are.
+        neighbours: The settings before and after the best one in the grid, if they exist.
     """
 
     effect: Effect
@@ -62,18 +62,18 @@ class GroupTest:
 
     @property
     def p_value(self) -> float:
-        """Chance that noise alone reaches `T` on this group."""
+        """p-value of `T` on this group under noise alone."""
         return float(-np.expm1(self.n_effective_tests * np.log1p(-self._tail(self.statistic / self.overdispersion))))
 
     @property
     def threshold(self) -> float:
-        """`T` above which the group joins a cause found elsewhere."""
+        """`T` above which the group is added to a cause found elsewhere."""
         wanted = GROUP_LEVEL / self.n_effective_tests * (2 if self.one_sided else 1)
         return float(self.overdispersion * stats.chi2.isf(min(wanted, 1.0), self.dof))
 
     @property
     def penalised_statistic(self) -> float:
-        """`T` less what choosing amplitudes and settings costs."""
+        """`T` minus the cost of choosing amplitudes and settings."""
         return self.statistic / self.overdispersion - 2 * float(np.log(max(self.n_effective_tests, 1.0))) - 2 * self.dof
 
     def _tail(self, T: float) -> float:
@@ -83,12 +83,12 @@ class GroupTest:
 
 @dataclass(frozen=True, eq=False)
 class CandidateCause:
-    """One cause on the joints that show it.
+    """One cause on the joints at which it is significant.
 
     Attributes:
         cause: Its name.
-        fits: The groups that show it, strongest first.
-        p_value: Chance of the strongest evidence on clean data, for this cause alone.
+        fits: The significant groups, strongest first.
+        p_value: p-value of the strongest evidence on clean data, for this cause alone.
         tested: All groups tried.
     """
 
@@ -104,11 +104,11 @@ class CandidateCause:
 
     @property
     def penalised_statistic(self) -> float:
-        """The statistic less the cost of its amplitudes; causes are ranked by it."""
+        """The statistic minus the cost of its amplitudes; causes are ranked by it."""
         return sum(fit.penalised_statistic for fit in self.fits)
 
     def merit_under(self, inflation: float) -> float:
-        """Return the merit under one inflation for all groups, so that a law is not chosen for its own scatter."""
+        """Return the penalised statistic with one overdispersion for all groups, so that a law is not chosen for its scatter."""
         return compute_penalised_statistic(self.fits, inflation)
 
     @property
@@ -118,12 +118,12 @@ class CandidateCause:
 
 
 def compute_penalised_statistic(fits: Sequence[GroupTest], inflation: float) -> float:
-    """Return the merit of several groups under one inflation."""
+    """Return the penalised statistic of several groups under one overdispersion."""
     return sum(replace(fit, overdispersion=inflation).penalised_statistic for fit in fits)
 
 
 def combine_group_tests(cause: str, fits: list[GroupTest]) -> CandidateCause:
-    """Combine a cause's groups: its p-value, and which groups show it."""
+    """Combine a cause's groups: its p-value, and the significant groups."""
     best = max(fits, key=lambda fit: fit.penalised_statistic)
     alone = min(fit.p_value for fit in fits)
     p_alone = float(-np.expm1(len(fits) * np.log1p(-min(alone, 1 - 1e-16))))
@@ -161,8 +161,8 @@ def _disjoint(fits: list[GroupTest]) -> list[GroupTest]:
 def _together(fits: list[GroupTest]) -> float:
     """Return the p-value of the sum of the groups' statistics, from a gamma law with the moments of the sum under noise.
 
-    The moments of each group follow from its effective number of tests. Groups on different joints are independent; of groups
-    that share a joint the correlation is estimated from the noise draws.
+    The moments of each group follow from its effective number of tests. Groups on different joints are independent; the
+    correlation of groups that share a joint is estimated from the noise draws.
     """
     total = sum(fit.statistic / fit.overdispersion for fit in fits)
     moments = np.array([compute_null_moments(fit.n_effective_tests, fit.dof, fit.one_sided) for fit in fits])
@@ -170,7 +170,7 @@ def _together(fits: list[GroupTest]) -> float:
     mean, variance = float(moments[:, 0].sum()), float(size @ _correlate(fits) @ size)
     if mean <= 0 or variance <= 0:
         return 1.0
-    scale = max(variance / mean, 2.0)  # no tail of chi-squares falls faster than exp(-t / 2)
+    scale = max(variance / mean, 2.0)  # no tail of chi-squares decreases faster than exp(-t / 2)
     return float(stats.gamma.sf(total, mean / scale, scale=scale))
 
 
@@ -207,19 +207,19 @@ def _correlate(fits: list[GroupTest]) -> np.ndarray:
 
 N_NULL_DRAWS = 60  # draws of noise; their mean and scatter fix the level of a scan over many settings to 13 %
 DENSE_DRAWS = 24
-"""Of a scan of thousands of periods, whose largest value hardly varies."""
+"""Draws for a scan of thousands of periods, whose largest value hardly varies."""
 _CHUNK = 64  # settings computed at once; bounds memory
 _WORTH_MATCHING = 30.0
-"""What a setting must explain for it to be fitted before it is chosen; the best of chance is some 20."""
+"""Least statistic of a setting that is fitted before it is chosen; the best by chance is about 20."""
 _PROPOSAL_MARGIN = 0.03
-"""Share of what the best setting explains that a proposed one may lack."""
+"""Share of the best setting's statistic that a proposed one may lack."""
 _MATCHES = 12  # evaluations of the search for a setting between two of the grid
 _MATCHED = 2e-3
 """Relative accuracy of a setting that agrees with its amplitude: below any standard error."""
 
 
 def find_nonnegative(effect: Effect) -> np.ndarray:
-    """Return which amplitudes only make sense from zero up (k,)."""
+    """Return the mask of amplitudes that must not be negative (k,)."""
     return np.array([p.lower >= 0 for p in effect.parameters])
 
 
@@ -230,14 +230,14 @@ def scan_causes(
     taken: set[tuple],
     progress: Callable[[str], None] = lambda step: None,
 ) -> list[CandidateCause]:
-    """Try every cause; return those that can be tried at all.
+    """Scan every cause; return those that can be tested.
 
     Args:
         null_model: The residual with everything that is in the model.
         draws: Noise after the same projection (R, D).
         causes: The causes.
-        taken: `(cause, joints)` that are in the model already.
-        progress: Told how far it is.
+        taken: `(cause, joints)` that are already in the model.
+        progress: Called with the progress.
     """
     found = []
     for k, cls in enumerate(causes, start=1):
@@ -252,7 +252,7 @@ def scan_causes(
 
 
 def list_joint_groups(channel: Channel, cls: type[Effect], taken: set[tuple]) -> list[tuple[str, ...]]:
-    """Return the groups of joints worth trying."""
+    """Return the groups of joints to try."""
     if cls.untestable(channel.scene) is not None:
         return []
     mine = {joint for cause, joints in taken if cause == cls.name for joint in joints}
@@ -261,7 +261,7 @@ def list_joint_groups(channel: Channel, cls: type[Effect], taken: set[tuple]) ->
 
 
 def fit_group(null_model: NullModel, draws: np.ndarray, cls: type[Effect], group: tuple[str, ...]) -> GroupTest | None:
-    """Scan one cause's settings on one group of joints; None where there is nothing to try."""
+    """Scan one cause's settings on one group of joints; None if there is no setting to try."""
     scene = null_model.channel.scene
     grid = cls.grid(scene, group)
     if not grid:
@@ -295,7 +295,7 @@ def _fit_alike(effects: list[Effect], null_model: NullModel, both: np.ndarray) -
 
 
 def rescore_group(fit: GroupTest, null_model: NullModel) -> GroupTest:
-    """Return a fit with its exact `T` and its inflation by blocks."""
+    """Return a fit with its exact `T` and its overdispersion by blocks."""
     C = null_model.rows(fit.effect)
     T, s, G = compute_score_test(null_model, C, find_nonnegative(fit.effect))
     return replace(fit, statistic=T, overdispersion=compute_fit_overdispersion(null_model, C, s, G))
@@ -305,9 +305,9 @@ def match_settings(fit: GroupTest, null_model: NullModel) -> GroupTest:
     """Return a fit whose matched setting equals its amplitude, the best between points of the grid, and its statistic there.
 
     The constrained misfit `|e - x c(x)|^2` is minimised over `x`, with `c(x)` the column at the setting `x` (Brent 1973,
-    without derivatives): the part of a column that the baseline leaves may fall with its setting's square, so amplitude and
-    setting do not agree by themselves. A proposal of a fit of the whole baseline that explains as much is better: `e` is
-    whitened by a model of noise that holds the effect itself.
+    without derivatives): the part of a column that the baseline leaves may decrease with its setting's square, so amplitude and
+    setting do not agree automatically. A proposal of a fit of the whole baseline that explains as much is better: `e` is
+    whitened by a noise model that contains the effect itself.
     """
     effect = fit.effect
     if not effect.matched:
@@ -339,7 +339,7 @@ def match_settings(fit: GroupTest, null_model: NullModel) -> GroupTest:
 
 
 def compute_explained(effects: Sequence[Effect], null_model: NullModel, both: np.ndarray) -> np.ndarray:
-    """Return the statistic of each setting for each column of white residuals (R, d): (g, d), by the channel's short cuts."""
+    """Return the statistic of each setting for each column of white residuals (R, d): (g, d), by the channel's fast methods."""
     channel = null_model.channel
     scanned = channel.scan(effects, null_model.whiten, both) if effects[0].dense else None
     found = np.full((len(effects), both.shape[1]), np.nan) if scanned is None else scanned
@@ -355,7 +355,7 @@ def compute_explained(effects: Sequence[Effect], null_model: NullModel, both: np
 
 
 def _tries(noise: np.ndarray, dof: int, simple: bool) -> float:
-    """Return the number of independent tries; a draw in which a one-sided amplitude comes out negative is seen as `T <= 0`."""
+    """Return the effective number of independent tests; a draw with a negative one-sided amplitude counts as `T <= 0`."""
     tail = stats.chi2.sf(noise, dof) / (2 if simple else 1)
     seen = int(np.sum(noise > 0)) if simple else len(noise)
     return count_effective_tests(np.clip(tail, 1e-12, 0.5 if simple else 1 - 1e-12), seen)

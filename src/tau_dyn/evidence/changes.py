@@ -1,20 +1,20 @@
 r"""Changes within a log: a sign, a gain, friction, a constant force, a body at the tool or the direction of gravity.
 
-Every log is tested by itself: another load in another log is no change within one. With white rows
+Every log is tested separately: another load in another log is not a change within a log. With white rows
 
     no change    y = X theta + e                              X: all columns of the model, smooth functions of q and v
     step         y = X theta + 1[t > tau] C gamma + e
     drift        y = X theta + r(t) C gamma + e               r: linear, or exponential with a time constant
-    factor       y_k(t > tau) = s (X theta)_k + e             of one joint; s = -1 where its sign turns
+    factor       y_k(t > tau) = s (X theta)_k + e             of one joint; s = -1 if its sign changes
 
 the score statistic of every time tau follows from cumulative products of `C`, of an orthonormal basis `Q` of `X` and of the
-residual, in one pass over the rows (Andrews 1993). A sign that turns spoils the fit itself, so it is tried without a fit: the
-joint's forces are turned after every tau and X is fitted again. The best hypothesis is then refined: the noise is estimated with
-it, its time is looked for again, and its statistic is divided by the scatter of blocks of 2 s and more.
+residual, in one pass over the rows (Andrews 1993). A change of sign corrupts the fit itself, so it is tested without a fit: the
+sign of the joint's forces is changed after every tau and X is fitted again. The best hypothesis is then refined: the noise is
+estimated with it, its time is searched again, and its statistic is divided by the scatter of blocks of 2 s and more.
 
 A change has to be significant over all joints, kinds and times of all logs, to fit better than every drift of the same column
-(what warms up drifts), and to be larger than the error of a textbook law. Smooth functions of a joint's own motion are in X, so
-that friction that the model lacks is no change between a slow and a fast part of the motion.
+(a warming machine drifts), and to be larger than the error of a textbook law. Smooth functions of a joint's own motion are in
+X, so that missing friction of the model is not mistaken for a change between a slow and a fast part of the motion.
 
 Reference: Andrews 1993 (tests for a structural change with unknown change point); Bai & Perron 1998 (several changes, one after
 the other).
@@ -39,16 +39,16 @@ from tau_dyn.message_codes import CodedWarning
 from tau_dyn.robot import find_end_link
 
 MAX_CHANGES = 4
-"""Changes looked for in one log; with more, the log is a sequence of states, and the first ones are reported."""
+"""Largest number of changes in one log; with more, the log is a sequence of states, and the first ones are reported."""
 MAX_TESTS = 12
-"""Hypotheses tested in one log, those that are rejected and drifts included; bounds the time."""
+"""Largest number of hypotheses tested in one log, including rejected ones and drifts; bounds computing time."""
 MAX_ROWS = 20_000
-"""Rows of a log that are tested; of a longer one, every second, third, .. block of 2 s."""
+"""Largest number of tested rows of a log; a longer log is reduced to every second, third, .. block of 2 s."""
 POINT_BODY = ("mass", "mx", "my", "mz")
-"""Inertial numbers of a body at the tool that is tried; its inertia about its own centre is small against those."""
+"""Inertial numbers of a tested body at the tool; its inertia about its own centre is small compared with those."""
 MIN_FRICTION_RATIO = 0.2
 """Change of a joint's force over its friction from which it is reported: friction of geared joints varies by tens of per cent
-with speed, load, position and temperature, and another part of the motion sees another part of it."""
+with speed, load, position and temperature, and another part of the motion shows another part of it."""
 
 
 @dataclass(frozen=True)
@@ -60,11 +60,11 @@ class LogChange:
         joint: The joint; empty for a change that acts on all joints.
         time_s: Time of the change on the log's clock [s].
         time_stderr_s: Standard error of the time [s].
-        kind: What changes.
+        kind: Kind of the change.
         before: Value before the change: 1 for a factor, 0 for an added force, body or turn.
         after: Value after the change, in the same unit.
         unit: Unit of both values; empty for a factor.
-        p_value: Chance of such a step in any log without a change.
+        p_value: p-value of such a step in any log without a change.
     """
 
     log: str
@@ -96,11 +96,11 @@ def find_changes(regression: Regression, shared: Mapping[Kind, Columns] | None =
     """Return the changes within each log of a regression, in time order.
 
     Args:
-        regression: Columns and forces; nominal or fitted values play no part.
+        regression: Columns and forces; nominal or fitted values are not used.
         shared: Columns (n, m, d) of each run of changes that act on all joints, by kind.
 
     Returns:
-        The changes; empty also where the runs hold no positions and speeds, or too few rows for their columns.
+        The changes; also empty if the runs hold no positions and speeds, or too few rows for their columns.
     """
     if any(not {"q", "v"} <= set(run.signals) for run in regression.runs):
         return ()
@@ -118,8 +118,8 @@ def build_shared_columns(regression: Regression, mechanism: Mechanism) -> dict[K
     """Return the columns (n, m, d) of each run of a body at the tool and of a turn of gravity [kg, kg m; rad].
 
     Args:
-        regression: Holds the columns of all bodies and the positions.
-        mechanism: At fitted or nominal values, which a turn of gravity acts on.
+        regression: Regression with the columns of all bodies and the positions.
+        mechanism: Mechanism at fitted or nominal values, for the turn of gravity.
     """
     found: dict[Kind, Columns] = {}
     runs, link = regression.runs, find_end_link(mechanism.robot)
@@ -138,7 +138,7 @@ def describe_changes(changes: Sequence[LogChange]) -> list[str]:
 
 
 def list_changes(changes: Sequence[LogChange]) -> dict[str, Any]:
-    """Return the two fields of a JSON result: `changes`, and their times [s] as `time_s`; none without a change."""
+    """Return the two fields of a JSON result, `changes` and their times [s] as `time_s`; empty without a change."""
     if not changes:
         return {}
     return {"changes": [one.to_dict() for one in changes], "time_s": [one.time_s for one in changes]}
@@ -160,7 +160,7 @@ def _describe(change: LogChange) -> CodedWarning:
 
 
 def _search_log(regression: Regression, shared: Mapping[Kind, Columns], n_logs: int) -> list[LogChange]:
-    """Return the changes of one log, the largest first taken into account before the next is looked for."""
+    """Return the changes of one log; the largest is added to the model before the next is searched."""
     regression = _thin(regression)
     data, found = LogData(regression), []
     every = list_hypotheses(regression, shared)
@@ -178,7 +178,7 @@ def _search_log(regression: Regression, shared: Mapping[Kind, Columns], n_logs: 
 
 
 def _is_one_event(change: LogChange, other: LogChange, memory_s: float) -> bool:
-    """Return whether a change is part of one found before: at the same time, at its joint or at all joints."""
+    """Return whether a change is part of an earlier one: at the same time, at its joint or at all joints."""
     apart = abs(change.time_s - other.time_s) - 2 * (change.time_stderr_s + other.time_stderr_s)
     return apart < memory_s and other.joint in ("", change.joint)
 
@@ -196,7 +196,7 @@ def _thin(regression: Regression) -> Regression:
 
 
 def _test(data: LogData, hypothesis: Hypothesis, time_s: float, n_hypotheses: int) -> tuple[LogChange | None, LogData]:
-    """Return a change if a hypothesis holds, and the log with it, or with the drift that explains as much, accounted for."""
+    """Return a change if a hypothesis holds, and the log with it, or with an equivalent drift, in the model."""
     step = fit_step(data, hypothesis, time_s)
     if step is None:
         return None, data
@@ -207,7 +207,7 @@ def _test(data: LogData, hypothesis: Hypothesis, time_s: float, n_hypotheses: in
         return None, data.drift(hypothesis, step.drift)
     taken = data.take(hypothesis, step.time_s, step.factor).leave_out(step.time_s)
     size, before, after, unit = _measure(taken, hypothesis, step)
-    if size < 1:  # accounted for, so that no other kind is named in its place
+    if size < 1:  # in the model, so that no other kind is named in its place
         return None, taken
     kind = hypothesis.kind
     if not hypothesis.columns:
@@ -219,10 +219,10 @@ def _test(data: LogData, hypothesis: Hypothesis, time_s: float, n_hypotheses: in
 
 
 def _measure(data: LogData, hypothesis: Hypothesis, step: Step) -> tuple[float, float, float, str]:
-    """Return the size of a change over the least that is reported, the values before and after it, and their unit.
+    """Return the size of a change over the least reported size, the values before and after it, and their unit.
 
-    The log has the change accounted for. Its size is the rms of its force. Models are wrong by `MAX_LAW_ERROR` of a joint's force
-    without its mean and by `MIN_FRICTION_RATIO` of its friction; the larger is the least.
+    The change is in the model of the log. Its size is the rms of its force. Models are wrong by `MAX_LAW_ERROR` of a joint's
+    force without its mean and by `MIN_FRICTION_RATIO` of its friction; the larger of the two is the least reported size.
     """
     sizes, coulomb, output = [0.0], 0.0, hypothesis.output
     for k in range(len(data.regression.outputs)):

@@ -1,4 +1,4 @@
-"""Measurements whose residual physical effects may explain, as the selection of causes uses them.
+"""Measurements with a residual that physical effects may explain, in the form that the selection of causes uses.
 
 A channel turns any effect into columns of the baseline's regression. Forces, tool positions and deflections differ only here.
 """
@@ -27,13 +27,13 @@ class Channel(Measurements, ABC):
     """
 
     has_unnamed_structures: ClassVar[bool] = True
-    """Whether a residual is searched for structure without a name."""
+    """Whether a residual is searched for structure without a known cause."""
 
     scene: Scene
     causes: tuple[type[Effect], ...]
 
     def report(self) -> Channel:
-        """Return the same measurements as errors are reported of them; by default as causes are searched in them."""
+        """Return the same measurements in the band of reported errors; by default in the band of the search."""
         return self
 
     @abstractmethod
@@ -49,27 +49,27 @@ class Channel(Measurements, ABC):
         return [self.run_columns(effect, k) for k in range(len(self.runs))]
 
     def whole_columns(self, effect: Effect) -> list[np.ndarray]:
-        """Return the columns without any sample left out, for drawing."""
+        """Return the columns of all samples, for drawing."""
         return self.columns(effect)
 
     def quick_columns(self, effect: Effect) -> Sequence[np.ndarray] | None:
-        """Return columns (n, m, k) of each run quicker made than the exact ones and as good; None where there are none."""
+        """Return columns (n, m, k) of each run that are computed faster than the exact ones and are equally good, or None."""
         return None
 
     def scan(self, effects: Sequence[Effect], whiten: Whitener, both: np.ndarray) -> np.ndarray | None:
-        """Return what thousands of settings of a dense effect explain of white residuals (R, d), as (g, d).
+        """Return the statistics (g, d) of thousands of settings of a dense effect on white residuals (R, d).
 
-        Settings without a short cut are nan; without any at all the answer is None.
+        Settings without a fast method are nan; None if there is no fast method.
         """
         return None
 
     @property
     def poses(self) -> bool:
-        """Whether some of the logs are poses held still, of which several periods of a cyclic error may fit equally."""
+        """Whether some of the logs are static poses, for which several periods of a cyclic error may fit equally."""
         return False
 
     def list_known_columns(self) -> list[Sequence[np.ndarray]]:
-        """Return the columns (n, m, k) of each run that are no noise: the baseline's, and the proposed resonances."""
+        """Return the columns (n, m, k) of each run that are not noise: the baseline's, and the proposed resonances."""
         scene = self.scene
         ringing = [StructuralCompliance.of_resonances(scene, scene.joints)] if scene.resonances else []
         return [*super().list_known_columns(), *(self.columns(effect) for effect in ringing)]
@@ -77,7 +77,7 @@ class Channel(Measurements, ABC):
 
 _FASTEST = 0.98  # quantile of the speed that counts as fast
 _RARE = 0.01
-"""Share of the training beyond either end of the range that a joint visits often."""
+"""Share of the training samples beyond each end of the range that a joint visits often."""
 
 
 def build_scene(
@@ -93,16 +93,16 @@ def build_scene(
     trained: Sequence[np.ndarray] | None = None,
     coupled: tuple[tuple[str, str], ...] = (),
 ) -> Scene:
-    """Return what motions offer together.
+    """Return the properties of all motions together.
 
     Args:
         motions: The motions.
         joints: Their joints.
         units: The joints' force units, 'N' or 'N m'.
-        slow: Slowest speed with a sure sign (na,) [m/s or rad/s].
+        slow: Slowest speed with a certain sign (na,) [m/s or rad/s].
         cutoff_hz: Upper limit of the pass band [Hz].
         duration: Length of all of them [s].
-        signals: What effects may feel; see `find_shared_signals`.
+        signals: Signals that are available to effects; see `find_shared_signals`.
         campaigns: Number of logs that are distinguished.
         trained: Which samples of each motion causes are fitted to (n,); by default all.
         coupled: Pairs of joints that a shared motor may drive.
@@ -139,7 +139,7 @@ def compute_fast_speeds(v: np.ndarray) -> np.ndarray:
 
 
 class EffectColumns(Sequence[np.ndarray]):
-    """An effect's columns (n, m, k) of each run, made when first asked for: most are tried on the training logs alone."""
+    """An effect's columns (n, m, k) of each run, made when first requested: most are tested on the training logs alone."""
 
     def __init__(self, channel: Channel, effect: Effect) -> None:
         """Start without columns."""
@@ -174,7 +174,7 @@ class ColumnCache:
         return self._made.setdefault(key, EffectColumns(self.channel, effect))
 
     def make_together(self, effects: Sequence[Effect], runs: Sequence[int]) -> list[EffectColumns]:
-        """Return the exact columns of several effects, those of the runs given made, together."""
+        """Return the exact columns of several effects together, made for the given runs."""
         found = [self.columns(effect) for effect in effects]
         for run in runs:
             new = [one for one in dict.fromkeys(found) if run not in one.made]
@@ -186,9 +186,9 @@ class ColumnCache:
     def whiten_baseline(
         self, parts: tuple[int, ...], noise: tuple[Autoregression, ...]
     ) -> tuple[Whitener, np.ndarray, np.ndarray]:
-        """Return what whitens these parts under a noise model of each output, the baseline's white columns and measurements.
+        """Return the whitener of these parts under a noise model of each output, the baseline's white columns and measurements.
 
-        The last ones asked for are kept: many effects are tried with the same baseline.
+        The last result is kept: many effects are tested with the same baseline.
         """
         if (parts, noise) not in self._white:
             whiten = Whitener.of(self.channel.runs, self.channel.masks(*parts), noise)

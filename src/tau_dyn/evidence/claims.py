@@ -1,10 +1,10 @@
 """The status of each selected cause, its gain, and the recommended model.
 
 A cause is `confirmed` if the validation data show it and are not predicted worse with it, if it is plausible and larger than
-the inexactness of another cause's law, and if the test data gain by it; else it is `suspected`, with the reason. The extended
-model is recommended if the test error over all outputs falls by more than the printed resolution, with its 95 % interval above
-zero, and no single output loses more than `MAX_OUTPUT_LOSS_PERCENT`. Neither model is recommended if the held-out logs are not
-of the machine that was trained on.
+the inexactness of another cause's law, and if it improves the prediction of the test data; otherwise it is `suspected`, with
+the reason. The extended model is recommended if the test error over all outputs decreases by more than the printed resolution,
+with its 95 % interval above zero, and the error of no single output increases by more than `MAX_OUTPUT_LOSS_PERCENT`. Neither
+model is recommended if the held-out logs are from another machine than the training logs.
 """
 
 from __future__ import annotations
@@ -47,17 +47,17 @@ from tau_dyn.message_codes import CodedWarning
 from tau_dyn.results import format_percent
 
 MAX_HELD_OUT_RATIO = 3.0
-"""Held-out over training rms of a joint above which the two are not of one machine: another motion changes it by less than two
-(EMPS, TX40, KR300, SO-101), a tool of a kilogram by ten."""
+"""Held-out over training rms of a joint above which the two are from different machines: another motion changes it by less than
+a factor of two (EMPS, TX40, KR300, SO-101), a tool of a kilogram by a factor of ten."""
 MIN_AMPLITUDE_Z = 2.0
-"""Standard errors that the amplitudes of a claimed cause must be off zero in the extended model, all in one Wald test."""
+"""Least distance of a claimed cause's amplitudes from zero in the extended model, in standard errors, by one Wald test."""
 MAX_RELATIVE_RMS_INCREASE = 0.005
-"""By how much a cause may raise the error on the validation data; a weak one changes it by less, either way."""
+"""Largest relative increase of the validation error by a cause; a weak cause changes it by less, in both directions."""
 MAX_OUTPUT_LOSS_PERCENT = 5.0
 """Loss of a single output [%] that the gain of the whole outweighs: the error of one output changes as much between two motions
 of a sound machine (EMPS, TX40, KR300)."""
 PRINTED_DIGITS = 3
-"""Significant digits of the two errors that a recommendation compares; equal digits are no gain."""
+"""Significant digits of the two errors that a recommendation compares; equal digits mean no gain."""
 _NOT_SHOWN = "held-out data do not show it"
 _SILENT = "held-out data cannot show it"
 _WORSE = "held-out data are predicted worse with it"
@@ -69,11 +69,11 @@ _NO_GAIN = "its gain is not above zero (95 % interval {:.2g} to {:.2g} %)"
 
 @dataclass(frozen=True, eq=False)
 class Claims:
-    """The causes found, and why some of them are not confirmed.
+    """The causes found, with the reasons why some of them are not confirmed.
 
     Attributes:
         found: Causes in the order found.
-        why_not: For each the reason why it is not confirmed, in words; empty where it is.
+        why_not: For each the reason why it is not confirmed, in words; empty if it is.
         tests: The test of each on the validation data.
     """
 
@@ -91,11 +91,11 @@ class Claims:
         return replace(self, why_not=(*self.why_not[:k], why_not, *self.why_not[k + 1 :]))
 
     def reject_all(self, why_not: str) -> Claims:
-        """Return the claims with one reason for all that stood."""
+        """Return the claims with one reason for all causes that were not rejected."""
         return replace(self, why_not=tuple(why or why_not for why in self.why_not))
 
     def replace_found(self, one: SelectedCause, other: SelectedCause) -> Claims:
-        """Return the claims with a cause in another's place."""
+        """Return the claims with one cause replaced."""
         return replace(self, found=tuple(other if x is one else x for x in self.found))
 
 
@@ -111,9 +111,9 @@ class Waterfall(NamedTuple):
 def select_confirmed(
     selection: StepwiseSelection, tests: Sequence[Confirmation], physics: PhysicalConstraints | None = None
 ) -> Claims:
-    """Return the causes that the held-out data show and that do not make its prediction worse.
+    """Return the causes that the held-out data show and whose prediction of these data is not worse.
 
-    A cause may be there and yet, with many amplitudes from a short log, predict badly where the training data never were.
+    A true cause with many amplitudes from a short log may predict badly outside the range of the training data.
     """
     found = tuple(
         drop_unconfirmed_joints(selection, one) if test.is_confirmed and not test.within else one
@@ -131,7 +131,7 @@ def select_confirmed(
 
 
 def _missed(channel: Channel, found: Sequence[SelectedCause], physics: PhysicalConstraints | None) -> float:
-    """Return the rms on the validation data, outputs by their own size, of a fit of the training data."""
+    """Return the rms on the validation data, each output divided by its own size, of a fit of the training data."""
     regression = build_extended_regression(channel, build_effects(found))
     theta = solve_with_fallback(restrict_to_parts(regression, channel, TRAIN), physics).theta
     residuals, shares = regression.residuals(theta), []
@@ -149,14 +149,14 @@ def build_waterfall(
     physics: PhysicalConstraints | None = None,
     inner_parts: Sequence[np.ndarray] = (),
 ) -> Waterfall:
-    """Fit and judge the baseline, then with one cause more each time.
+    """Fit and judge the baseline, then the model with one more cause at each step.
 
     The gain of a cause that only blocks of the training logs can show is measured there, by a fit of the others.
 
     Args:
         selection: The search.
         claims: The causes found; confirmed causes come in that order.
-        rng: For intervals.
+        rng: Random numbers for intervals.
         nominal: The baseline's values before any fit (p,); by default its parameters' own.
         physics: Physical consistency of the baseline's values.
         inner_parts: Parts with held-out blocks of the training logs, see `divide_training`.
@@ -194,10 +194,10 @@ def _measure_gain(
     inner_parts: Sequence[np.ndarray] = (),
     outputs: Sequence[str] = (),
 ) -> Gain:
-    """Return the gain of effects between two fits on the test data, of their own joints or of `outputs`.
+    """Return the gain of effects between two fits on the test data, for their own joints or for `outputs`.
 
-    If the test data leave the gain open, the validation data are used as well or, for a cause with a test `within` the training
-    logs, the held-out blocks of these logs. In both cases the fits are those of the remaining training data.
+    If the test data do not decide about the gain, the validation data are used as well or, for a cause with a test `within` the
+    training logs, the held-out blocks of these logs. In both cases the fits are those of the remaining training data.
     """
     channel, own = selection.channel, selection.columns(effects)
     joints = outputs or list_felt_joints(channel, effects)
@@ -213,7 +213,7 @@ def _measure_gain(
 
 
 def list_felt_joints(channel: Channel, effects: Sequence[Effect]) -> list[str]:
-    """Return the joints whose error effects change: their own, or all where one changes the forces of all."""
+    """Return the joints whose error effects change: their own, or all joints if an effect changes the forces of all."""
     own = {joint for effect in effects for joint in effect.joints}
     everywhere = any(effect.felt_by_all for effect in effects)
     return [joint for joint in channel.scene.joints if everywhere or joint in own]
@@ -229,10 +229,10 @@ def select_supported(
 ) -> tuple[Claims, Waterfall]:
     """Return the claims that pass all rules for a confirmed cause, and their waterfall.
 
-    A confirmed cause has an amplitude distinct from zero, within its plausible range, with settings away from the edges of
-    the search; it is not absent from the test data, and the error of its own joints falls with the 95 % interval above zero. A
-    joint of several that becomes significantly worse is dropped, and the others stay. The test data have a veto and no vote.
-    Rules about one cause alone come first: a cause that they reject may be the reason why another one becomes worse.
+    A confirmed cause has an amplitude distinct from zero, within its plausible range, with settings away from the edges of the
+    search; it is not absent from the test data, and the error of its own joints decreases with the 95 % interval above zero. A
+    joint of several that becomes significantly worse is dropped, and the others are kept. The test data can only reject. Rules
+    about one cause alone come first: a cause that they reject may be the reason why another one becomes worse.
     """
     while True:
         waterfall = build_waterfall(selection, claims, rng, nominal, physics, inner_parts)
@@ -252,7 +252,7 @@ def _reject_by_amplitude(selection: StepwiseSelection, claims: Claims, waterfall
     """Reject causes that are not distinct from zero, implausible, at an edge, or absent from the test data; all at once."""
     values, before = waterfall.fits[-1].parameters, waterfall.fits[0].parameters
     estimate, scene, kept = waterfall.fits[-1].estimate, selection.channel.scene, claims.kept
-    assert estimate is not None  # only the nominal bar has none
+    assert estimate is not None  # only the nominal bar lacks one
     scales = scene.scales
     if scales:
         scales = widen_scales(scales, measure_friction(values, scene), measure_friction(before, scene))
@@ -280,7 +280,7 @@ def _reject_companion(selection: StepwiseSelection, claims: Claims, waterfall: W
 
 
 def _drop_worse_joints(channel: Channel, claims: Claims, waterfall: Waterfall, rng: np.random.Generator) -> Claims:
-    """Drop, of causes on several joints, those joints whose error grows significantly by the cause on them."""
+    """Drop those joints of causes on several joints whose error increases significantly by the cause."""
     for n, one in enumerate(claims.kept):
         fits = one.candidate.fits
         before, after = (waterfall.fits[n + k].residuals for k in (0, 1))
@@ -292,19 +292,19 @@ def _drop_worse_joints(channel: Channel, claims: Claims, waterfall: Waterfall, r
 
 
 def is_worse(gain: Gain, tolerance_percent: float = 100 * MAX_RELATIVE_RMS_INCREASE) -> bool:
-    """Return whether an error grows significantly and by more than a tolerance [%]."""
+    """Return whether an error increases significantly and by more than a tolerance [%]."""
     return gain.ci95[1] < 0 and gain.reduction_percent < -tolerance_percent
 
 
 def explain_gain(gain: Gain) -> str:
-    """Return why a gain on held-out data does not confirm its cause; empty where it does."""
+    """Return the reason why a gain on held-out data does not confirm its cause; empty if it does."""
     if gain.p_value is not None and not gain.p_value < SIGNIFICANCE_LEVEL:
         return _NOT_SHOWN
     return _NO_GAIN.format(*gain.ci95) if gain.ci95[0] <= 0 else ""
 
 
 def _reject_without_gain(channel: Channel, claims: Claims, waterfall: Waterfall) -> Claims:
-    """Reject the cause with the lowest gain where its interval is not above zero, and one whose gain is no measurable force."""
+    """Reject the cause with the lowest gain if its interval is not above zero, and one whose gain is not a measurable force."""
     low = [gain.ci95[0] for gain in waterfall.gains]
     if low and (why := explain_gain(waterfall.gains[n := int(np.argmin(low))])):
         return claims.judge(claims.found.index(claims.kept[n]), why)
@@ -314,14 +314,14 @@ def _reject_without_gain(channel: Channel, claims: Claims, waterfall: Waterfall)
         joints = list_felt_joints(channel, one.candidate.effects)
         felt = [k for k, output in enumerate(channel.outputs) if output in joints] or slice(None)
         least = float(np.sqrt(np.mean(compute_least_forces(channel)[felt] ** 2)))
-        own = np.sqrt(max(0.0, gain.rms_before**2 - gain.rms_after**2))  # rms of the force that the cause takes off
+        own = np.sqrt(max(0.0, gain.rms_before**2 - gain.rms_after**2))  # rms of the force that the cause explains
         if own < least:
             return claims.judge(claims.found.index(one), _NO_FORCE)
     return claims
 
 
 class Recommendation(NamedTuple):
-    """What to use, and why, in a sentence; and what to warn of."""
+    """The recommended model, the reason in a sentence, and warnings."""
 
     choice: Choice
     why: str
@@ -337,15 +337,15 @@ def recommend(
     *,
     has_load: bool = False,
 ) -> Recommendation:
-    """Return which model to use, given the causes with their status, and their waterfall.
+    """Return the recommended model, from the causes with their status and their waterfall.
 
     Args:
         selection: The selection.
         claims: The causes with their status.
         waterfall: The waterfall.
-        rng: For intervals.
+        rng: Random numbers for intervals.
         physics: Physical consistency of the baseline's values.
-        has_load: Whether some logs carry a confirmed load, which is no part of either model.
+        has_load: Whether some logs carry a confirmed load, which is part of neither model.
     """
     channel = selection.channel
     before, after = waterfall.fits[0], waterfall.fits[-1]
@@ -390,7 +390,7 @@ def recommend(
 
 
 def find_foreign_joints(channel: Channel, fit: EvaluatedFit) -> list[tuple[str, float]]:
-    """Return the outputs whose held-out rms is many times the training rms, with the ratio; none without held-out logs."""
+    """Return the outputs whose held-out rms is many times the training rms, with the ratio; empty without held-out logs."""
     if not any(np.all(part == TRAIN) for part in channel.parts):
         return []
     found = []
@@ -405,7 +405,7 @@ def find_foreign_joints(channel: Channel, fit: EvaluatedFit) -> list[tuple[str, 
 
 
 def describe_foreign_joints(ratios: Sequence[tuple[str, float]]) -> list[str]:
-    """Return the warning that the held-out logs are of another machine, from joints and their ratio of rms."""
+    """Return the warning that the held-out logs are from another machine, with joints and their ratio of rms."""
     if not ratios:
         return []
     listed = ", ".join(f"{joint} ({ratio:.1f} times)" for joint, ratio in ratios)

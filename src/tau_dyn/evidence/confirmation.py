@@ -1,20 +1,20 @@
-r"""Confirmation: is the effect that was fitted on the training data present in the held-out data, in the predicted size?
+r"""Confirmation: a test whether the effect fitted on the training data is present in the held-out data, in the predicted size.
 
 With `C gamma` the effect fitted on the training data and `B` everything else, the misfit predicted on other data is
 
     x = C gamma - B (B_t^+ C_t gamma),
 
-the part that the baseline's training refit leaves of it. The held-out residual of the baseline's training fit is regressed on
-`x`, with `B` free to move as far as the training fit was uncertain (its information as prior rows), and freely back by the
-amount that the effect shifted it: if the effect were in the training data alone, that shift would be in the residual and
-resemble a part of `x`. The coefficient is 1 if all of the effect is there and 0 if none; a one-sided t-test. Its variance
-counts how blocks scatter, in the held-out data and, with the weight of at most ten blocks, in the training data: a misfit
-that changes along the way is no noise.
+the part that the baseline's training refit does not absorb. The held-out residual of the baseline's training fit is regressed
+on `x`. The coefficients of `B` may change within the uncertainty of the training fit (its information as prior rows), and
+freely along the shift that the effect caused: if the effect were in the training data alone, that shift would be in the
+residual and resemble a part of `x`. The coefficient of `x` is 1 if the full effect is present and 0 if it is absent; the test
+is a one-sided t-test. Its variance includes the scatter between blocks, in the held-out data and, with the weight of at most
+ten blocks, in the training data: a misfit that changes over time is not noise.
 
-A law of many amplitudes may be known badly just where the held-out data go: its `x` would be mostly error. With information
-`G` on `gamma` in the training data and `H` in the held-out ones, the two estimates of a direction agree as far as both know it,
-with the weight `1 / (1/g + 1/h)`; so the residual is regressed on `x~`, made of `(G + H)^-1 G gamma`, and the share is that of
-`x` still (`x~` as its instrument).
+A law of many amplitudes may be poorly determined in the range of the held-out data: its `x` would be mostly error. With
+information `G` on `gamma` in the training data and `H` in the held-out ones, the two estimates of a direction are compared with
+the weight `1 / (1/g + 1/h)`; so the residual is regressed on `x~`, computed from `(G + H)^-1 G gamma`, and the share still
+refers to `x` (`x~` is its instrument).
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from tau_dyn.evidence.measurements import TRAIN, VALIDATION
 from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, PRIOR_WEIGHT_BLOCKS, NullModel, WhiteResidual
 from tau_dyn.results import Z95
 
-SIGNIFICANCE_LEVEL = 0.02  # of a confirmation, one test on data not used by the selection
+SIGNIFICANCE_LEVEL = 0.02  # level of a confirmation, one test on data not used by the selection
 _MIN_EXPECTED_Z = 4.0
-"""Standard errors that the whole of an effect has to amount to for its absence to count against it."""
+"""Least size of a predicted effect, in standard errors, for which its absence counts against it."""
 _LEFT = 0.01
-"""Part of a column that everything else must leave for it to count."""
+"""Least share of a column that everything else in the model must leave."""
 MIN_GAINING_SHARE = 0.5
-"""Share of a predicted force that must be true for its prediction to lower the error."""
+"""Share of a predicted force above which its prediction reduces the error."""
 
 
 @dataclass(frozen=True)
 class Confirmation:
-    """Share of a predicted effect seen on held-out data, its standard error, and the chance of it by noise.
+    """Share of a predicted effect in held-out data, its standard error, and its p-value under noise.
 
     `within`: the data are held-out blocks of the training logs, because the held-out logs could not show it.
     """
@@ -54,17 +54,17 @@ class Confirmation:
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether held-out data agree."""
+        """Whether held-out data confirm the effect."""
         return self.p_value < SIGNIFICANCE_LEVEL
 
     @property
     def is_inconclusive(self) -> bool:
-        """Whether these data neither show the effect nor could have been relied on to show it."""
+        """Whether these data neither show the effect nor had enough power to show it."""
         return not self.is_confirmed and not self.stderr < 1 / _MIN_EXPECTED_Z
 
     @property
     def leaves_gain_open(self) -> bool:
-        """Whether its 95 % interval holds the share from which the effect lowers the error."""
+        """Whether its 95 % interval contains the share from which the effect reduces the error."""
         return not abs(self.share - MIN_GAINING_SHARE) > Z95 * self.stderr
 
 
@@ -116,7 +116,7 @@ def confirm_columns(
 
 
 def _information(C: np.ndarray, shifts: np.ndarray, B: np.ndarray, R: np.ndarray) -> np.ndarray:
-    """Return what columns (n, k) leave next to free `shifts` (n, k) and `B` (n, p) with prior `R`: their Gram matrix (k, k)."""
+    """Return the Gram matrix (k, k) of the residuals of columns (n, k) on free `shifts` (n, k) and `B` (n, p) with prior `R`."""
     rows = np.concatenate([np.column_stack([shifts, B]), np.column_stack([np.zeros((len(R), shifts.shape[1])), R])])
     own, (unit, _) = np.concatenate([C, np.zeros((len(R), C.shape[1]))]), scale_columns(rows)
     rest = own - unit @ np.linalg.lstsq(unit, own, rcond=1e-9)[0]
@@ -124,10 +124,10 @@ def _information(C: np.ndarray, shifts: np.ndarray, B: np.ndarray, R: np.ndarray
 
 
 def _amplitudes(left: np.ndarray, r: np.ndarray, own: np.ndarray, H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return amplitudes (k,) of columns of which the baseline leaves `left` (n, k), and those weighed by what `H` knows.
+    """Return amplitudes (k,) of columns with residuals `left` (n, k) on the baseline, and those weighted by the information `H`.
 
-    Only in the directions that the baseline does not absorb: gains of all drives, say, are the masses; a sum that only the
-    encoders' noise keeps apart would be fitted to that noise.
+    Only directions that the baseline does not absorb are used. Gains of all drives, for example, equal the masses: a sum that
+    only encoder noise separates from the baseline would be fitted to that noise.
     """
     scale = np.where(own > 0, own, 1.0)
     values, vectors = np.linalg.eigh((left / scale).T @ (left / scale))
@@ -139,17 +139,18 @@ def _amplitudes(left: np.ndarray, r: np.ndarray, own: np.ndarray, H: np.ndarray)
 
 @dataclass(frozen=True)
 class _Scatter:
-    """Variance of blocks' scores over what white rows of the same variance give, and how many blocks that is worth."""
+    """Variance of blocks' scores over that of white rows of the same variance, and the effective number of blocks."""
 
     ratio: float
     count: float
 
     @classmethod
     def of(cls, block: np.ndarray, x: np.ndarray, rest: np.ndarray) -> _Scatter:
-        """Measure it along a direction (R,) whose coefficient the residual `rest` (R,) was fitted with, in blocks of rows (R,).
+        """Compute it along a direction (R,), whose coefficient was fitted with the residual `rest` (R,), in blocks of rows (R,).
 
-        The fit takes each block's leverage from its score (Bell and McCaffrey, 2002). A misfit along the direction that changes
-        from block to block makes scores in proportion to the blocks' squares; the count is that of Satterthwaite (1946) for them.
+        The leverage of each block reduces its score by the fit (Bell and McCaffrey, 2002). A misfit along the direction that
+        changes from block to block makes scores proportional to the blocks' squares; the number of blocks is that of
+        Satterthwaite (1946) for them.
         """
         _, block = np.unique(block, return_inverse=True)
         square = np.bincount(block, x**2)

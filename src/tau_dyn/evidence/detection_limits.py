@@ -1,12 +1,12 @@
-"""Detection limits of causes that were not found, causes that these logs cannot show, and periods that they leave open.
+"""Detection limits of causes that were not found, causes that these logs cannot show, and periods that are not identifiable.
 
 A detection limit is the amplitude at which the test at the family-wise level has 95 % power (noncentral chi-square), at the
-setting in the middle of the grid and on the joint where the cause is hardest to see.
+setting in the middle of the grid and on the joint where the cause is hardest to detect.
 
-Places a step `s` apart give the same values to every wave whose number of periods a metre differs by a multiple of `1 / s`, and
-to their mirror images, `1 / p' = k / s +- 1 / p`. Of poses held still the periods that explain as much as the best one are
-listed; more than one, and the period is not known. Places at uneven steps have no such twins (Dressler 2012, 4.2, presumes
-them in measurements 50 mm apart).
+Positions with a step `s` give the same values to all waves whose numbers of periods per metre differ by a multiple of `1 / s`,
+and to their mirror images, `1 / p' = k / s +- 1 / p`. For static poses the periods that explain as much as the best one are
+listed; if there is more than one, the period is not identifiable. Positions at uneven steps have no such aliases (Dressler
+2012, 4.2, assumes them in measurements at steps of 50 mm).
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from tau_dyn.evidence.unknown_structure import MIN_2LOGL_DIFFERENCE
 POWER = 0.95  # of the test at the detection limit, by convention
 OWNED = 1e-9  # share of a column's power left next to the null model; less is rounding
 _WHOLE = 0.5
-"""Share of an output's rms above which a limit says that the data show nothing of the cause."""
+"""Share of an output's rms above which a limit means that the data hold no information about the cause."""
 
 
 def compute_detection_limits(
     search: StepwiseSelection, named: Sequence[str]
 ) -> tuple[tuple[Limit, ...], tuple[Untestable, ...]]:
-    """Return detection limits of the causes that were tried and not found, and the causes that could not be tried."""
+    """Return detection limits of the causes that were tested and not found, and the causes that could not be tested."""
     channel, limits, untestable = search.channel, [], []
     tried = {c.cause: c for c in search.last}
     for cls in channel.causes:
@@ -58,7 +58,7 @@ def compute_detection_limits(
             if isinstance(limit, str):
                 untestable.append(Untestable(cls.name, limit, cls.reveals))
             elif limit is None and _owned(search.null_model, tried[cls.name]):
-                continue  # the baseline has it, under another name
+                continue  # the baseline contains it under another name
             elif limit is None and not absorbed:
                 why = "on this motion the refit of the baseline absorbs nearly all of it"
                 untestable.append(Untestable(cls.name, why, cls.reveals))
@@ -68,14 +68,14 @@ def compute_detection_limits(
 
 
 def compute_finding_limit(search: StepwiseSelection, one: SelectedCause) -> Limit | None:
-    """Return the detection limit of a selected cause with all others in the model; None where the baseline absorbs it."""
+    """Return the detection limit of a selected cause with all others in the model; None if the baseline absorbs it."""
     null_model = search.null_model.with_effects(search.others(one))
     limit = _limit(null_model, one.candidate, len(search.last) + len(search.found))
     return limit if isinstance(limit, Limit) else None
 
 
 def explain_absorbed(null_model: NullModel, candidate: CandidateCause) -> str:
-    """Return on which joints the baseline leaves nothing of a cause, and why; empty where no reason is known."""
+    """Return the joints on which the baseline absorbs a cause, with the reason; empty if no reason is known."""
     reasons = []
     for fit in candidate.tested:
         C = null_model.rows(fit.effect)
@@ -87,7 +87,7 @@ def explain_absorbed(null_model: NullModel, candidate: CandidateCause) -> str:
 
 
 _MAX_LISTED_JOINTS = 3
-"""Joints of an effect that are named one by one where it acts on all."""
+"""Largest number of joints that are named one by one if an effect acts on all."""
 
 
 def solve_noncentrality(level: float, dof: int, power: float = POWER) -> float:
@@ -96,16 +96,16 @@ def solve_noncentrality(level: float, dof: int, power: float = POWER) -> float:
 
 
 def _limit(null_model: NullModel, candidate: CandidateCause, causes: int) -> Limit | str | None:
-    """Return the limit at the joint where a plausible cause is hardest to see, or why no plausible one would be seen."""
+    """Return the limit at the joint where a plausible cause is hardest to detect, or the reason why it cannot be detected."""
     found: list[tuple[float, str, str]] = []
     beyond: list[tuple[float, str, str]] = []
     for fit in candidate.tested:
         if len(fit.effect.joints) > 1 and any(len(f.effect.joints) == 1 for f in candidate.tested):
             continue
-        tests = len(candidate.tested) * (2 if len(candidate.tested) > 1 else 1)  # each alone, and all together
+        tests = len(candidate.tested) * (2 if len(candidate.tested) > 1 else 1)  # groups separately, and all together
         amplitude = _amplitude(null_model, fit, tests * causes)
         if amplitude is None:
-            continue  # a joint that hardly moves says nothing of the others
+            continue  # a joint that hardly moves is not representative of the others
         first = next(iter(fit.effect.parameters))
         amplitude = max([amplitude, *(row.low for row in fit.effect.plausible if not (row.of or row.setting))])
         values = fit.effect.parameters.with_values({first.name: max(amplitude, first.lower)})
@@ -126,7 +126,7 @@ def _limit(null_model: NullModel, candidate: CandidateCause, causes: int) -> Lim
 
 
 def _amplitude(null_model: NullModel, fit: GroupTest, families: int) -> float | None:
-    """Return the amplitude seen with 95 % power, or None where it would exceed half of the measurement."""
+    """Return the amplitude detected with 95 % power, or None if it would exceed half of the measurement."""
     effect = select_median_setting(null_model.channel, fit.effect)
     C = null_model.rows(effect)
     units = [p.unit for p in effect.parameters]
@@ -143,7 +143,7 @@ def _amplitude(null_model: NullModel, fit: GroupTest, families: int) -> float | 
 
 
 def _owned(null_model: NullModel, candidate: CandidateCause) -> bool:
-    """Tell whether the baseline has parameters for exactly this, and not only on a motion that never turns back."""
+    """Return whether the baseline has parameters for exactly this effect, not only on a motion without reversals."""
     for fit in candidate.tested:
         C = null_model.rows(fit.effect)
         if np.trace(null_model.gram(C)) > OWNED * np.trace(C.T @ C):
@@ -153,7 +153,7 @@ def _owned(null_model: NullModel, candidate: CandidateCause) -> bool:
 
 
 def _one_way(channel: Channel, joint: str) -> bool:
-    """Tell whether a joint's usable samples all go the same way, or there are none."""
+    """Return whether a joint's usable samples all move in the same direction, or there are no such samples."""
     speed, mine = f"v_{joint}", channel.outputs.index(joint) if joint in channel.outputs else None
     v = [
         row[speed][mask[:, mine]]
@@ -164,23 +164,23 @@ def _one_way(channel: Channel, joint: str) -> bool:
 
 
 def select_median_setting(channel: Channel, effect: Effect) -> Effect:
-    """Return an effect with the middle one of its settings, the form of its law being the first."""
+    """Return an effect with the middle one of its settings, and the first form of its law."""
     grid = type(effect).grid(channel.scene, effect.joints)
     if effect.refined:
-        first = grid[0]  # a proposed mode has settings that a plain one has not
+        first = grid[0]  # a proposed mode has additional settings
         grid = [g for g in grid if all(g.get(k) == first.get(k) for k in {*g, *first} if k not in effect.refined)]
     return effect.with_settings(**grid[len(grid) // 2])
 
 
-_FINE = 5  # settings tried to either side of a grid point that does well
+_FINE = 5  # settings tried on each side of a good grid point
 _LISTED = 4  # periods named in a sentence
 _PER_PERIOD = 2.5
-"""Places that one period needs, with a little to spare above two."""
-_MIN_EXPLAINED_SHARE = 0.8  # share of the best that a grid point explains where a finer one may explain all
+"""Positions per period, slightly more than two."""
+_MIN_EXPLAINED_SHARE = 0.8  # share of the best statistic at a grid point from which a finer one may reach it
 
 
 def find_alias_periods(selection: StepwiseSelection) -> list[tuple[float, ...]]:
-    """Return the periods [m or rad] that each cyclic error found may have; none for other causes and motion sampled in time."""
+    """Return the possible periods [m or rad] of each cyclic error found; empty for other causes and motion sampled in time."""
     poses = selection.channel.poses
     found: list[tuple[float, ...]] = []
     for one in selection.found:
@@ -192,7 +192,7 @@ def find_alias_periods(selection: StepwiseSelection) -> list[tuple[float, ...]]:
 
 
 def leave_period_open(channel: Channel, one: SelectedCause, finding: Finding, periods: tuple[float, ...]) -> Finding:
-    """Say that the places measured leave the period of a cyclic error open, and which spacing would not."""
+    """Warn that the measured positions do not determine the period of a cyclic error, with a spacing that would."""
     effect = one.candidate.effects[0]
     joint = effect.joints[0]
     unit = "m" if effect.units[joint] == "N" else "rad"
@@ -215,10 +215,10 @@ def leave_period_open(channel: Channel, one: SelectedCause, finding: Finding, pe
 
 
 def compute_alias_periods(null_model: NullModel, effect: Effect) -> tuple[float, ...]:
-    """Return the periods [m or rad] that explain as much as an effect's own, longest first; only its own where it is sure.
+    """Return the periods [m or rad] that explain as much as an effect's own, longest first; only its own if it is unique.
 
     Args:
-        null_model: Everything else accounted for.
+        null_model: The null model with everything else.
         effect: An effect with a setting `period`.
     """
     scene = null_model.channel.scene
@@ -243,7 +243,7 @@ def compute_alias_periods(null_model: NullModel, effect: Effect) -> tuple[float,
 
 
 def compute_position_spacing(channel: Channel, joint: str) -> float:
-    """Return the usual step between places of a joint [m or rad]."""
+    """Return the usual step between positions of a joint [m or rad]."""
     steps = [np.abs(np.diff(v[f"q_{joint}"])) for v in channel.variables()]
     all_steps = np.concatenate(steps)
     moved = all_steps[all_steps > 1e-6 * max(float(all_steps.max(initial=0.0)), 1e-300)]
@@ -251,6 +251,6 @@ def compute_position_spacing(channel: Channel, joint: str) -> float:
 
 
 def _explained(null_model: NullModel, effect: Effect, lines: np.ndarray) -> np.ndarray:
-    """Return `T` (g,) of the effect with these numbers of periods a metre or radian (g,)."""
+    """Return `T` (g,) of the effect with these numbers of periods per metre or radian (g,)."""
     settings = [effect.with_settings(period=float(1 / line)) for line in lines]
     return compute_explained(settings, null_model, null_model.e[:, None])[:, 0]

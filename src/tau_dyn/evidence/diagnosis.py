@@ -1,4 +1,4 @@
-"""What `diagnose` answers, and its JSON form."""
+"""The result of `diagnose`, and its JSON form."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis(Shown):
-    """The error of a simulation, its cause, and how much better it is with the cause.
+    """The error of a simulation, its causes, and the improvement by them.
 
     Attributes:
         verdict: `named`, `nothing_found`, `cannot_tell` or `unexplained`.
         sentence: The answer in one or two sentences, for the top of the page.
-        channel: `force`, `tool`, `deflection` or `position` (of servo loops).
+        channel: `force`, `tool`, `deflection` or `position` (for servo loops).
         outputs: The measured quantities.
         units: Units of the outputs.
         baseline: Errors of the refitted model.
@@ -46,20 +46,20 @@ class Diagnosis(Shown):
         limits: Detection limit of each cause.
         untestable: Causes that could not be tested, with the reason.
         model: The baseline, refitted.
-        extended_model: The model with the confirmed causes; the baseline where there are none.
+        extended_model: The model with the confirmed causes; the baseline if no cause is confirmed.
         traces: The time view.
-        n_parts: Seconds of usable data trained on, confirmed on, and measured on.
+        n_parts: Seconds of usable training, validation and test data.
         how: How the data were divided, in words.
-        warnings: Doubts, as sentences.
-        seed: Seed of whatever was random.
-        experiment: The experiment that would decide a verdict `cannot_tell`.
+        warnings: Warnings, as sentences.
+        seed: Seed of all random steps.
+        experiment: The experiment that would resolve a verdict `cannot_tell`.
         recommendation: Which model to use: `extended`, `refitted`, or `neither`.
         recommendation_why: The reason, in a sentence.
-        simulation: Closed-loop simulation against the measured log, before and after, where a controller was given.
+        simulation: Closed-loop simulation compared with the measured log, before and after, if a controller was given.
         preparation: Filters and masks of forces; None for other channels.
-        settings: How the data were prepared and tests calibrated, for the page's foot.
+        settings: Preparation of the data and calibration of the tests, for the page's foot.
         further: Keys that a channel adds to the JSON result.
-        search_band: The errors in the band in which causes are searched, of forces; None where it is that of all other errors.
+        search_band: Errors of forces in the band in which causes are searched; None if all errors refer to that band.
     """
 
     verdict: Verdict
@@ -93,7 +93,7 @@ class Diagnosis(Shown):
 
     @property
     def exit_status(self) -> int:
-        """3 for the verdict `cannot_tell`, else 0."""
+        """3 for the verdict `cannot_tell`, otherwise 0."""
         return 3 if self.verdict == "cannot_tell" else 0
 
     def plot(self) -> Figure:
@@ -125,4 +125,4 @@ _TOLD = (
     "verdict", "sentence", "channel", "recommendation", "recommendation_why", "baseline", "extended", "noise_floor",
     "waterfall", "findings", "unexplained", "untestable", "simulation", "settings", "search_band",
 )  # fmt: skip
-"""What a diagnosis tells as it is."""
+"""Fields of a diagnosis that are exported unchanged."""

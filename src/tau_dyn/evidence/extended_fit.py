@@ -1,7 +1,7 @@
 """The model extended by causes, refitted, and judged on the test data; and the noise floor.
 
-The noise floor is the residual that remains if every output may depend smoothly on all its own variables: an estimate of
-the lower bound for any model of these variables. Freedom spent on the smooth functions is given back.
+The noise floor is the residual that remains if every output may depend smoothly on all its own variables: an estimate of the
+lower bound for any model of these variables. It is corrected for the degrees of freedom of the smooth functions.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ class EvaluatedFit:
         theta: All parameters (p,), the baseline's and then the effects'.
         regression: Baseline and effects on all data.
         residuals: Measured minus predicted (n, m) of each run, all parts.
-        errors: On the test data, as they are filtered for the search.
-        other: The same values on the measurements of which errors are reported, where these are others; see `Channel.report`.
+        errors: Errors on the test data, filtered as for the search.
+        other: The same values on the measurements for reported errors, if these differ; see `Channel.report`.
     """
 
     estimate: Estimate | None
@@ -55,13 +55,13 @@ class EvaluatedFit:
 
     @property
     def reported(self) -> EvaluatedFit:
-        """The same values on the measurements of which errors are reported."""
+        """The same values on the measurements for reported errors."""
         return self.other or self
 
     @property
     def parameters(self) -> Parameters:
         """The fitted parameters."""
-        assert self.estimate is not None  # only the nominal values have none
+        assert self.estimate is not None  # only the nominal values lack one
         return self.estimate.parameters
 
 
@@ -91,7 +91,7 @@ def fit_extended_model(
 
 
 def solve_with_fallback(regression: Regression, physics: PhysicalConstraints | None) -> Estimate:
-    """Return the fit within physics and bounds, or the plain one where the program for them gives up on its numbers."""
+    """Return the fit with physical consistency and bounds, or the plain one if the constrained solver fails."""
     try:
         return solve_least_squares(regression, physics=physics)
     except InputError:
@@ -137,8 +137,8 @@ def compute_errors(
     Args:
         channel: The data.
         residuals: Measured minus predicted (n, m) of each run, filtered as the masked measurements are.
-        rng: For drawing blocks.
-        whole: The same without masks, where it is known.
+        rng: Random numbers for drawing blocks.
+        whole: The same without masks, if known.
     """
     squares, counts = _sum_blocks(channel, residuals)
     power, _ = _sum_blocks(channel, [run.y for run in channel.runs])
@@ -174,19 +174,19 @@ def compute_gain(
     rng: np.random.Generator,
     shown: Confirmation | None = None,
 ) -> Gain:
-    """Return how much smaller the error of some outputs is on the test data.
+    """Return the reduction of the error of some outputs on the test data.
 
-    Where the share `s` of a predicted change `x` is true, the sums of squares are `N + s^2 |x|^2` before it and
+    If the share `s` of a predicted change `x` is true, the sums of squares are `N + s^2 |x|^2` before it and
     `N + (1 - s)^2 |x|^2` with it. With `s` from generalised least squares the interval follows from its standard error, and
-    always holds the measured reduction; raw residuals scatter by far more than white ones. Without `s` it is a bootstrap of
+    always contains the measured reduction; raw residuals scatter far more than white ones. Without `s` it is a bootstrap of
     paired blocks.
 
     Args:
         channel: The data.
         before: Residuals (n, m) of each run without the cause.
         after: The same with it.
-        joints: Outputs that count; all where none of them is an output.
-        rng: For the bootstrap.
+        joints: Outputs that are used; all outputs if the list names no output.
+        rng: Random numbers of the bootstrap.
         shown: Share of the predicted effect that this part shows.
     """
     which = [k for k, output in enumerate(channel.outputs) if output in joints] or list(range(len(channel.outputs)))
@@ -227,10 +227,10 @@ def _resample(squares: np.ndarray, counts: np.ndarray, rng: np.random.Generator)
 
 
 def estimate_noise_floor(channel: Channel, extended: EvaluatedFit, rng: np.random.Generator) -> OutputErrors:
-    """Return the floor on the test data, and over all samples: what smooth functions of the motion leave of the residual.
+    """Return the floor on the test data, and over all samples: the residual after a fit of smooth functions of the motion.
 
     Args:
-        channel: The measurements of which errors are reported.
+        channel: The measurements for reported errors.
         extended: The extended model on them.
         rng: For intervals.
     """
@@ -246,7 +246,7 @@ def estimate_noise_floor(channel: Channel, extended: EvaluatedFit, rng: np.rando
 def _subtract_smooth(
     channel: Channel, residuals: Sequence[np.ndarray], columns: Sequence[np.ndarray], masks: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
-    """Return residuals (n, m) less their fit of baseline and smooth functions to the masked samples, scaled by the freedom."""
+    """Return residuals (n, m) minus their fit by baseline and smooth functions, scaled for its degrees of freedom."""
     found, variables = [e.copy() for e in residuals], channel.variables()
     for k, output in enumerate(channel.outputs):
         smooth = build_smooth_columns(variables, output)

@@ -1,4 +1,4 @@
-"""Findings for a reader, from causes that the data show: parameters with errors, a plot, a sentence, twins."""
+"""Findings from causes that the data show: parameters with errors, a plot, a sentence, indistinguishable causes."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from tau_dyn.evidence.stepwise_selection import SelectedCause, StepwiseSelection
 from tau_dyn.parameters import Parameter, Parameters
 
 _MAX_LISTED = 3  # causes that a sentence names
-_POINTS = 2000  # of a plot; more cannot be seen
+_POINTS = 2000  # points of a plot; more are not visible
 _DEPENDENT = 1e-8
 """Part of the largest eigenvalue below which columns count as dependent."""
 _BLIND = 0.01
-"""Share of an amplitude that may lie in what dependent columns leave open."""
+"""Largest share of an amplitude in directions that dependent columns do not determine."""
 _WITHIN = (
     " The held-out logs hardly excite it; blocks set aside of the training logs confirmed it and measured its gain."
 )
@@ -36,7 +36,7 @@ _EQUIVALENT = "no log of this kind separates it from {twins}; the force is the s
 def build_findings(
     selection: StepwiseSelection, claims: Claims, waterfall: Waterfall, rng: np.random.Generator
 ) -> list[Finding]:
-    """Return the finding of every cause, confirmed or not, with all others in the model."""
+    """Return the finding of every cause, confirmed or not, with all other causes in the model."""
     selection = replace(selection, found=claims.found)
     found = []
     for one, test, why_not in zip(claims.found, claims.tests, claims.why_not, strict=True):
@@ -57,7 +57,7 @@ def build_rejected_finding(
     test: Confirmation,
     rng: np.random.Generator,
 ) -> Finding:
-    """Return a suspected finding: its parameters are of a fit of the confirmed causes and this one."""
+    """Return a suspected finding, whose parameters are from a fit of the confirmed causes and this one."""
     fit = fit_extended_model(selection.channel, [*build_effects(claims.kept), *one.candidate.effects], None, rng)
     return _build_finding(selection, one, test, fit, None, why_not)
 
@@ -80,7 +80,7 @@ def _build_finding(
     inflation = max(group.overdispersion for group in one.candidate.fits)
     parameters = estimate_uncertainty(null_model, effects, values, inflation)
     first = effects[0]
-    known = channel.scene.signals  # a law of a voltage is no twin where none is logged
+    known = channel.scene.signals  # a law of a voltage is no alternative if no voltage is logged
     alike = [t for e in effects for t in e.equivalent if t not in EFFECTS or VOLTAGE not in {*EFFECTS[t].needs} - known]
     rivals = [twin for twin in one.rivals if twin not in alike]
     experiments = [
@@ -112,9 +112,10 @@ def _build_finding(
 def estimate_uncertainty(
     null_model: NullModel, effects: Sequence[Effect], values: Parameters, inflation: float
 ) -> Parameters:
-    """Return amplitudes and refined settings with standard errors that count each other's uncertainty.
+    """Return amplitudes and refined settings with standard errors that include each other's uncertainty.
 
-    An amplitude that the baseline's refit absorbs has none (a shared motor's inertia, which the links' inertia takes).
+    An amplitude that the baseline's refit absorbs has no standard error (a shared motor's inertia, which the links' inertia
+    absorbs).
     """
     rows, columns = [], [null_model.rows(effect) for effect in effects]
     slopes = []
@@ -156,7 +157,7 @@ def format_sentence(effects: Sequence[Effect], parameters: Parameters, gain: Gai
 
 
 def format_reduction(percent: float) -> str:
-    """Return a gain in words; a weak cause may be sure by other frequencies than those that make up the raw error."""
+    """Return a gain in words; a weak cause may be significant at other frequencies than those that dominate the raw error."""
     return f"{percent:.{0 if percent >= 1 else 1}f} % smaller" if percent >= 0.05 else "not smaller"
 
 
@@ -210,15 +211,15 @@ def describe_diagnosis(
     errors: tuple[OutputErrors, OutputErrors, SearchBand | None],
     loads: Sequence[Finding] = (),
 ) -> str:
-    """Return the answer in one or two sentences.
+    """Return the result in one or two sentences.
 
     Args:
         channel: The measurements.
         verdict: The verdict on everything but loads.
-        findings: All findings but those of loads.
-        aliased: Those whose period is open.
-        unexplained: Structure without a name.
-        errors: Of the refitted and of the extended model, and in the band of the search if that is wider.
+        findings: All findings except those of loads.
+        aliased: Findings whose period is not identifiable.
+        unexplained: Structure without a known cause.
+        errors: Errors of the refitted and of the extended model, and in the band of the search if that is wider.
         loads: Findings of confirmed loads, which come first.
     """
     if channel.name == "force":
@@ -239,7 +240,7 @@ def _describe_forces(
     band: SearchBand | None,
     other: str = "",
 ) -> str:
-    """Return the answer in one or two sentences."""
+    """Return the result in one or two sentences."""
     missed = f"The residual of the refitted model is {before.relative_error_percent:.2g} % of the measured force"
     confirmed = [f for f in findings if f.status == "confirmed"]
     if confirmed:
@@ -267,7 +268,7 @@ def _describe_forces(
 
 
 def _describe_band(before: OutputErrors, after: OutputErrors, band: SearchBand | None) -> str:
-    """Return the errors in the band of the search, where causes act above that of the reported errors; else empty."""
+    """Return the errors in the band of the search if causes act above that of the reported errors; otherwise empty."""
     one, other = (f"{errors.relative_error_percent:.2g}" for errors in (before, after))
     if band is None or one != other:
         return ""
@@ -292,7 +293,7 @@ def _listed(findings: Sequence[Finding]) -> str:
 def _describe_tool(
     named: Sequence[Finding], aliased: Sequence[Finding], before: OutputErrors, after: OutputErrors
 ) -> str:
-    """Return the answer in a sentence."""
+    """Return the result in a sentence."""
     one, other = (format_quantity(float(np.linalg.norm(e.rms)), "m") for e in (before, after))
     text = f"The measured tool is {one} (rms) from forward kinematics"
     if named:
@@ -310,7 +311,7 @@ def _describe_deflection(
     before: OutputErrors,
     after: OutputErrors,
 ) -> str:
-    """Return the answer in a sentence."""
+    """Return the result in a sentence."""
     one, other = (
         ", ".join(
             f"{format_quantity(float(r), u)} at {o}" for r, u, o in zip(e.rms, channel.units, e.outputs, strict=True)

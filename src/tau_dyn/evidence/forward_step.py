@@ -1,9 +1,9 @@
-"""One step of the forward selection: the strongest cause that is no artefact, its joints, and the causes as good in its place.
+"""One step of the forward selection: the strongest cause that is not an artefact, its joints, and equally good alternatives.
 
 A pair of causes may explain as much as one. The pair is tried on the joints of the cause, next to all other causes, each member
 at the setting at which it explains most there. It is an alternative if its penalised statistic reaches that of the cause to
-within `MIN_2LOGL_DIFFERENCE`, under the scatter of the cause, and neither member does so alone. Only known doubles of the cause
-and causes that explain a tenth of it are paired, the strongest first, so that chance has few pairs to choose from.
+within `MIN_2LOGL_DIFFERENCE`, under the scatter of the cause, and neither member does so alone. Only known alternatives of the
+cause and causes that explain a tenth of it are paired, the strongest first, so that few pairs are compared.
 """
 
 from __future__ import annotations
@@ -28,9 +28,11 @@ from tau_dyn.evidence.settings import find_unbelievable, refine_settings
 from tau_dyn.evidence.unknown_structure import MIN_2LOGL_DIFFERENCE
 
 TAKEOVER_2LOGL_MARGIN = 4.0
-"""Merit by which another cause takes over one joint of several: that all joints share one cause is likelier beforehand."""
+"""Penalised statistic by which another cause must be better at one joint of several: one cause for all joints has a larger
+prior."""
 MAX_MEMBERS = 5
-"""Causes that are paired: ten pairs, of which chance makes the best 4.6 better, less than `MIN_2LOGL_DIFFERENCE` allows."""
+"""Number of causes that are paired: ten pairs, the best of which is better by 4.6 by chance, less than
+`MIN_2LOGL_DIFFERENCE`."""
 ArtefactFilter = Callable[[NullModel, CandidateCause, Sequence[Effect], int], CandidateCause | None]
 """Return a candidate without its artefacts, or None: tested on a null model with the effects in it, as one of several causes."""
 
@@ -42,7 +44,7 @@ def choose_next_cause(
     n: int,
     artefact_filter: ArtefactFilter | None,
 ) -> tuple[CandidateCause, tuple[str, ...]] | None:
-    """Return the strongest cause that is no artefact, its settings refined, and its twins, or None."""
+    """Return the strongest cause that is not an artefact, with refined settings, and its alternatives, or None."""
     left = [drop_redundant_groups(c, null_model) for c in significant]
     while left:
         strongest, twins = _strongest(left)
@@ -56,9 +58,9 @@ def choose_next_cause(
 
 
 def _strongest(significant: Sequence[CandidateCause]) -> tuple[CandidateCause, tuple[str, ...]]:
-    """Return the cause that explains most, each by its own scatter, and its twins.
+    """Return the cause that explains most, each divided by its own scatter, and its alternatives.
 
-    Among those that explain as much under one scatter the one with the least freedom is taken.
+    Among causes that explain as much under one scatter, the one with the fewest degrees of freedom is taken.
     """
     first = max(significant, key=lambda c: c.penalised_statistic)
     scatter = first.fits[0].overdispersion
@@ -78,7 +80,7 @@ def _strongest(significant: Sequence[CandidateCause]) -> tuple[CandidateCause, t
 def drop_redundant_groups(candidate: CandidateCause, null_model: NullModel) -> CandidateCause:
     """Return a candidate with the groups that are significant next to its stronger ones, with their statistics there.
 
-    The effect of a joint leaks through the baseline's refit into the others, where the same cause would be found again.
+    The effect of a joint leaks through the baseline's refit into other joints, at which the same cause would be found again.
     """
     kept = [candidate.fits[0]]
     for fit in candidate.fits[1:]:
@@ -91,10 +93,10 @@ def drop_redundant_groups(candidate: CandidateCause, null_model: NullModel) -> C
 def _drop_shadowed_joints(
     best: CandidateCause, significant: Sequence[CandidateCause], null_model: NullModel
 ) -> tuple[CandidateCause, tuple[str, ...]]:
-    """Return a cause without the joints at which it is the shadow of another one that explains more, and its twins elsewhere.
+    """Return a cause without the joints at which it only imitates a stronger one, and its alternatives elsewhere.
 
-    A shadow explains hardly a tenth of its statistic next to the other; a cause that explains more is one of its own. Where
-    neither explains more than the other, by far, they are twins at this joint.
+    An imitation explains hardly a tenth of its statistic next to the other cause; one that explains more is a separate cause.
+    If neither explains far more than the other, they are indistinguishable at this joint.
     """
     scatter = best.fits[0].overdispersion
     alone = [(c.cause, fit) for c in significant if c is not best for fit in c.tested]
@@ -149,7 +151,7 @@ def _list_pairs(
 def _choose_members(
     fit: GroupTest, cause: str, candidates: Sequence[CandidateCause], null_model: NullModel
 ) -> dict[str, GroupTest]:
-    """Return the causes on the same joints that are paired, by name: known doubles of the cause, then the strongest ones."""
+    """Return the causes on the same joints that are paired, by name: known alternatives first, then the strongest causes."""
     known = set(fit.effect.mistaken_for)
     same = [
         (other.cause, test)
@@ -166,7 +168,7 @@ def _choose_members(
 
 
 def _score_together(fit: GroupTest, pair: tuple[GroupTest, GroupTest], null_model: NullModel) -> GroupTest:
-    """Return what two groups explain together."""
+    """Return the statistic of two groups together."""
     C = np.concatenate([null_model.rows(test.effect) for test in pair], axis=1)
     nonnegative = np.concatenate([find_nonnegative(test.effect) for test in pair])
     statistic, _, _ = compute_score_test(null_model, C, nonnegative)

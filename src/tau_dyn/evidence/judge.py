@@ -2,13 +2,13 @@
 
     channel -> null model, candidate scan, stepwise selection -> confirmation -> claims with their gain -> findings, verdict
 
-A selected cause that the validation data show, but whose amplitude or setting no machine has, is listed as rejected, and the
-selection is repeated without it: another cause may explain the same residual. That other cause has to leave a residual that is
-consistent with the noise, since the better fit was turned down. A cause that is confirmed with the rejected one in the model and
-without it, with the same amplitude, explains another part of the residual, and needs no such residual.
+A selected cause that the validation data show, but whose amplitude or setting is implausible for any machine, is listed as
+rejected, and the selection is repeated without it: another cause may explain the same residual. That other cause has to leave a
+residual that is consistent with the noise, since the better fit was rejected. A cause that is confirmed with the rejected one
+in the model and without it, with the same amplitude, explains another part of the residual, and needs no such residual.
 
-`nothing_found` is a test result. The residual of every output is consistent with its noise (`unexplained.py`), and no
-rejected candidate is shown by the validation data; else the verdict is `unexplained`.
+`nothing_found` is a test result. The residual of every output is consistent with its noise (`unexplained.py`), and no rejected
+candidate is shown by the validation data; otherwise the verdict is `unexplained`.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from tau_dyn.evidence.validation import ConfirmationResults, confirm_all, confir
 from tau_dyn.parameters import Parameters
 
 MAX_SEARCHES = 3
-"""Selections of one channel: each one after the first leaves out the causes that no machine has."""
+"""Largest number of selections of one channel: each one after the first leaves out the rejected causes."""
 _LEAVES_STRUCTURE = "a cause outside of its plausible range fits better, and this one leaves a residual above the noise"
 MAX_CHANGE_STDERR = 2.0
 """Standard errors, rms over the amplitudes of a cause, by which they may change with a rejected cause in the model: half the
@@ -50,16 +50,16 @@ _DEPENDS = "its amplitude changes by {:.1f} standard errors with the rejected {}
 
 @dataclass(frozen=True, eq=False)
 class ExaminationOptions:
-    """Circumstances of an examination.
+    """Options of an examination.
 
     Attributes:
-        rng: For noise draws and intervals.
+        rng: Random numbers for noise draws and intervals.
         progress: Called with a word for each step.
-        noise: Encoder noise alone, of forces.
+        noise: Forces due to encoder noise alone.
         physics: Physical consistency of the baseline's values.
         nominal: The baseline's values before any fit (p,); by default its parameters' own.
         gap_s: Memory of the filters [s], if causes may be confirmed within the training logs.
-        doubt: The reason why no cause may be confirmed; empty where there is none.
+        doubt: The reason why no cause may be confirmed; empty if causes may be confirmed.
     """
 
     rng: np.random.Generator
@@ -80,10 +80,10 @@ class Examination:
         claims: The selected causes with their status.
         waterfall: The waterfall with the gains.
         tests: Tests on the validation data.
-        periods: Periods that fit each selected cause equally, for poses held still.
+        periods: Periods that fit each selected cause equally, for static poses.
         consistency: Test of each output's residual against its noise; empty if a cause is confirmed.
         findings: The selected and the rejected causes as findings.
-        unexplained: Structure without a name.
+        unexplained: Structure without a known cause.
         aliased: Findings whose period is open.
         remark: A fact about the nominal values for the reader, as a sentence.
     """
@@ -101,7 +101,7 @@ class Examination:
 
 
 Selection = tuple[StepwiseSelection, Structure | None]
-"""Causes that the training data show, and a structure without a name with these in the model."""
+"""Causes that the training data show, and unexplained structure with these in the model."""
 
 
 def examine_channel(channel: Channel, options: ExaminationOptions, first: Selection | None = None) -> Examination:
@@ -109,8 +109,8 @@ def examine_channel(channel: Channel, options: ExaminationOptions, first: Select
 
     Args:
         channel: The measurements.
-        options: The circumstances.
-        first: What `search_channel` returned for them; None to search.
+        options: The options.
+        first: Result of `search_channel` for the same data; None to search.
     """
     excluded: set[tuple[str, tuple[str, ...]]] = set()
     rejected: list[Finding] = []
@@ -155,7 +155,7 @@ def _examine_once(
 def search_channel(
     channel: Channel, options: ExaminationOptions, excluded: Collection[tuple[str, tuple[str, ...]]] = ()
 ) -> Selection:
-    """Return the causes that the training data show, and a structure without a name with these in the model."""
+    """Return the causes that the training data show, and unexplained structure with these in the model."""
     options.progress("looking for causes")
     noise = options.noise
     artefact_filter = noise.reject_artefacts if noise else None
@@ -185,7 +185,7 @@ def _reject_artefacts(
 
 
 def _doubt(claims: Claims, periods: Sequence[tuple[float, ...]], doubt: str) -> Claims:
-    """Return the claims without those that a doubt about the data or an open period forbids."""
+    """Return the claims without those that a problem of the data or a period that is not identifiable excludes."""
     claims = claims.reject_all(doubt) if doubt else claims
     for k, fitting in enumerate(periods):
         claims = claims.judge(k, "several periods fit equally") if len(fitting) > 1 else claims
@@ -193,7 +193,7 @@ def _doubt(claims: Claims, periods: Sequence[tuple[float, ...]], doubt: str) -> 
 
 
 def _list_implausible(found: Examination) -> list[int]:
-    """Return the places of the causes that the validation data show and no machine has."""
+    """Return the indices of implausible causes that the validation data show."""
     claims = zip(found.claims.why_not, found.tests.causes, strict=True)
     return [k for k, (why, test) in enumerate(claims) if isinstance(why, Implausible) and test.is_confirmed]
 
@@ -236,7 +236,7 @@ def _is_companion(
 
 
 def explain_dependence(one: SelectedCause, values: Parameters, earlier: Sequence[AmplitudesWithRejected]) -> str:
-    """Return why a cause of a repeated selection may stand in for a rejected one; empty where it does not."""
+    """Return the reason why a cause of a repeated selection may replace a rejected one; empty if it does not."""
     for fit in earlier:
         changes = []
         for effect in one.candidate.effects:
@@ -254,10 +254,10 @@ def explain_dependence(one: SelectedCause, values: Parameters, earlier: Sequence
 def _require_consistency(
     found: Examination, options: ExaminationOptions, earlier: Sequence[AmplitudesWithRejected]
 ) -> Examination:
-    """Reject confirmed causes of a repeated selection that may stand in for a rejected one.
+    """Reject confirmed causes of a repeated selection that may replace a rejected one.
 
     Such a cause is confirmed for the first time, or with another amplitude, and its joints' residual is not consistent with the
-    noise, or holds the rejected cause still.
+    noise, or still contains the rejected cause.
     """
     claims = found.claims
     if not claims.kept:
@@ -278,7 +278,7 @@ def _require_consistency(
 
 
 def _with_findings(found: Examination, options: ExaminationOptions, rejected: Sequence[Finding]) -> Examination:
-    """Return the examination with its findings, the structure without a name, and the test of the residual."""
+    """Return the examination with its findings, the structure without a known cause, and the test of the residual."""
     selection, claims, rng = found.selection, found.claims, options.rng
     findings = [
         leave_period_open(selection.channel, one, finding, fitting)
@@ -319,7 +319,7 @@ def _assess_noise_consistency(found: Examination, options: ExaminationOptions) -
 
 
 def _with_limit(selection: StepwiseSelection, one: SelectedCause, finding: Finding) -> Finding:
-    """Return a confirmed finding with its detection limit; a rejected candidate has none."""
+    """Return a confirmed finding with its detection limit; a rejected candidate has no limit."""
     if finding.why_not_confirmed:
         return finding
     return replace(finding, detection_limit=compute_finding_limit(selection, one))
@@ -333,7 +333,7 @@ def _confirm_with_others(
 
 
 def _is_gain_or_body(finding: Finding) -> bool:
-    """Return whether a gain of the drives and a body explain the same difference, whichever of them gives the name."""
+    """Return whether a gain of the drives and a body explain the same difference, independent of the reported cause."""
     twins = finding.indistinguishable_from
     return "drive_gain" in twins or (finding.cause == "drive_gain" and bool(twins))
 

@@ -1,14 +1,14 @@
-r"""How much of each joint's force a model misses that is not the force's own noise.
+r"""The part of each joint's force that a model does not explain and that is not noise of the force.
 
 The noise is estimated in the upper half of the fit's band, f_c / 2 to f_c: motion ends at about a fifth of the low-pass' cutoff
-f_c, and friction that a model lacks is smooth in time but for reversals, which are masked. With the periodogram S of short
+f_c, and missing friction of a model is smooth in time except at reversals, which are masked. With the periodogram S of short
 stretches of the residual and the low-pass' gain |F|^2,
 
     sigma^2 = mean(S / |F|^4 over the upper half) * integral of |F|^4,        R^2 = mean(e^2)
     missed share = sqrt(R^2 - sigma^2) / rms(tau)
 
 white noise of that level in the whole band; noise that grows with frequency gives a larger sigma and a smaller share. The
-residual is compared with the noise by an F test, whose degrees of freedom are the independent values of either. Reference:
+residual is compared with the noise by an F test, whose degrees of freedom are the independent values of each. Reference:
 Welch 1967.
 """
 
@@ -25,25 +25,25 @@ from tau_dyn.log import compute_attenuation, find_true_runs
 from tau_dyn.message_codes import CodedWarning
 
 MAX_MISSED_SHARE = 0.2
-"""Share of a joint's force that a model may miss beyond noise. Models of sound geared robots miss 2 to 15 % of it
-by friction that no textbook law describes; beyond a fifth a force, sign, unit or zero is missing."""
+"""Largest share of a joint's force, beyond noise, that a model may leave unexplained. Models of sound geared robots leave 2 to
+15 % of it, by friction that no textbook law describes; beyond a fifth a force is missing, or a sign, unit or zero is wrong."""
 LEVEL = 1e-3
-"""Chance, over all joints, that noise alone leaves such a residual."""
+"""Significance level, over all joints, of a residual beyond noise."""
 SEGMENT_ROWS = 16
-"""Rows of a stretch whose spectrum is taken: 16 values resolve a sixth of the cutoff at 2.5 rows a period of it."""
+"""Rows of a stretch whose spectrum is taken: 16 values resolve a sixth of the cutoff at 2.5 rows per period of it."""
 UPPER_BAND = (0.5, 1.0)
 """Band in which the noise is estimated, in cutoffs of the fit's low-pass."""
 
 
 @dataclass(frozen=True)
 class PoorFit:
-    """A joint whose force a model misses.
+    """A joint whose force a model does not explain.
 
     Attributes:
         joint: The joint.
         missed_share: Rms of the residual without noise over that of the force.
         noise_rms: Rms of the noise [N or N m].
-        p_value: Chance of such a residual by noise alone, over all joints.
+        p_value: p-value of such a residual under noise alone, over all joints.
     """
 
     joint: str
@@ -53,10 +53,10 @@ class PoorFit:
 
 
 def find_poor_fits(regression: Regression, residuals: Sequence[np.ndarray]) -> tuple[PoorFit, ...]:
-    """Return the joints of which a model misses more than `MAX_MISSED_SHARE` of the force beyond noise.
+    """Return the joints at which a model leaves more than `MAX_MISSED_SHARE` of the force unexplained, beyond noise.
 
     Args:
-        regression: Forces, masks and the low-pass that they went through.
+        regression: Forces, masks and the low-pass applied to them.
         residuals: Measured minus predicted (n, m) of each run, filtered equally.
     """
     found = []
@@ -76,7 +76,7 @@ def find_poor_fits(regression: Regression, residuals: Sequence[np.ndarray]) -> t
 
 
 def describe_poor_fits(found: Sequence[PoorFit]) -> list[CodedWarning]:
-    """Return the warning that names the joints of a poor fit; none without any."""
+    """Return the warning that names the joints of a poor fit; empty if there are no such joints."""
     if not found:
         return []
     listed = ", ".join(f"{one.joint} ({100 * one.missed_share:.0f} %)" for one in found)

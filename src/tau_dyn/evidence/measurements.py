@@ -1,7 +1,7 @@
 r"""Measurements of one kind with the columns that a fit may use, divided into training, validation and test data.
 
-Data are divided by blocks in time. Without held-out logs every log is cut into blocks that take turns, 3 : 1 : 1, so that each
-part sees the whole range of temperatures and places. With held-out logs these take turns 1 : 1 between confirmation and
+Data are divided by blocks in time. Without held-out logs every log is cut into alternating blocks, 3 : 1 : 1, so that each part
+covers the whole range of temperatures and positions. With held-out logs these take turns 1 : 1 between confirmation and
 measurement. Between blocks of different parts the filter's memory is left out, so that no sample is shared. A block is several
 times longer than that memory, so a short log has fewer blocks, and a short piece is one block as a whole.
 """
@@ -23,10 +23,10 @@ _SHARED = (TRAIN, VALIDATION, TRAIN, TEST, TRAIN)
 _WITHIN = (TRAIN, VALIDATION, TRAIN, TRAIN)
 _MAX_BLOCK_S = 6.0  # [s] of the longest block
 _MIN_BLOCKS = 15
-"""Blocks that a log is cut into, where they stay long enough; of fewer none would see all parts of the motion."""
+"""Least number of blocks of a log, if they are long enough; with fewer blocks, no part would contain all of the motion."""
 _MIN_GAPS = (6.0, 4.0, 3.0)
-"""Least length of a block in gaps at a border: a block between two borders keeps 2/3, 1/2 or 1/3 of its samples. The first that
-gives every part something is taken."""
+"""Least length of a block in gaps at a border: a block between two borders keeps 2/3, 1/2 or 1/3 of its samples. The first
+value for which no part is empty is used."""
 
 
 def split_by_blocks(runs: Sequence[RegressionRun], held: Sequence[bool], gap_s: float) -> tuple[np.ndarray, ...]:
@@ -34,7 +34,7 @@ def split_by_blocks(runs: Sequence[RegressionRun], held: Sequence[bool], gap_s: 
 
     Args:
         runs: Stretches of logs.
-        held: Whether a run belongs to a held-out log; where any does, the others are trained on as a whole.
+        held: Whether a run belongs to a held-out log; if any does, all others are training data.
         gap_s: Time left out on both sides of a border [s].
     """
     wanted = set(HELD_OUT if any(held) else _SHARED)
@@ -68,7 +68,7 @@ def describe_split(held: bool, what: str) -> str:
 
 
 def divide_training(runs: Sequence[RegressionRun], parts: Sequence[np.ndarray], gap_s: float) -> tuple[np.ndarray, ...]:
-    """Return parts in which the training logs alone are trained on and confirmed on, 3 : 1 in blocks; the rest is left out."""
+    """Return parts that divide the training logs alone into training and validation data, 3 : 1 in blocks."""
     found, turn = [], 0
     for run, part in zip(runs, parts, strict=True):
         if np.all(part == TRAIN):
@@ -82,7 +82,7 @@ def divide_training(runs: Sequence[RegressionRun], parts: Sequence[np.ndarray], 
 def _blocks(
     t: np.ndarray, pattern: tuple[int, ...], first: int, gap_s: float, least_s: float
 ) -> tuple[np.ndarray, int]:
-    """Cut one run into blocks, starting at place `first` of the pattern; return the parts and the next place."""
+    """Cut one run into blocks, starting at index `first` of the pattern; return the parts and the next index."""
     duration = float(t[-1])
     length = duration / _count_blocks(duration, len(pattern), least_s) * (1 + 1e-9) or 1.0
     number = (t / length).astype(int)
@@ -95,7 +95,7 @@ def _blocks(
 
 
 def _count_blocks(duration: float, size: int, least_s: float) -> int:
-    """Return how many blocks a run is cut into: whole patterns of a size where they fit, else as many blocks as fit, or one."""
+    """Return the number of blocks of a run: whole patterns of a size if they fit, otherwise as many blocks as fit, or one."""
     wanted = max(1, round(max(duration / _MAX_BLOCK_S, _MIN_BLOCKS) / size)) * size
     most = int(duration / least_s) if least_s > 0 else wanted
     if most >= size:
@@ -105,7 +105,7 @@ def _count_blocks(duration: float, size: int, least_s: float) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """Measurements of one kind: all that a fit, a noise model, a confirmation of columns and a gain need.
+    """Measurements of one kind: the data for a fit, a noise model, a confirmation of columns and a gain.
 
     Attributes:
         name: `force`, `tool`, `deflection` or `position`.
@@ -113,7 +113,7 @@ class Measurements:
         units: Units of the outputs.
         parameters: Parameters of the baseline's columns (p).
         runs: Baseline columns and measurements.
-        parts: Part of each sample (n,) of each run: `TRAIN`, `VALIDATION`, `TEST`, or -1 for none.
+        parts: Part of each sample (n,) of each run: `TRAIN`, `VALIDATION`, `TEST`, or -1 for unused samples.
     """
 
     name: str
@@ -128,11 +128,11 @@ class Measurements:
         return [name_by_joint(self.outputs, **run.signals) | {"t": run.t} for run in self.runs]
 
     def list_known_columns(self) -> list[Sequence[np.ndarray]]:
-        """Return the columns (n, m, k) of each run that are no noise: those that the baseline may refit."""
+        """Return the columns (n, m, k) of each run that are not noise: those that the baseline may refit."""
         return [self.free_columns]
 
     def masks(self, *parts: int) -> list[np.ndarray]:
-        """Return which samples (n, m) of each run are usable and belong to these parts."""
+        """Return the masks (n, m) of each run's samples that are usable and belong to these parts."""
         return [run.usable & np.isin(part, parts)[:, None] for run, part in zip(self.runs, self.parts, strict=True)]
 
     def gather(self, arrays: Sequence[np.ndarray], output: int, *parts: int) -> np.ndarray:
@@ -146,7 +146,7 @@ class Measurements:
 
     @property
     def target(self) -> list[np.ndarray]:
-        """Measurements less what fixed parameters predict (n, m), of each run."""
+        """Measurements minus the prediction of fixed parameters (n, m), of each run."""
         fixed = ~self.parameters.free
         return [run.y - run.W[:, :, fixed] @ self.parameters.values[fixed] for run in self.runs]
 
@@ -165,7 +165,7 @@ _USES = {TRAIN: "train on", VALIDATION: "confirm on", TEST: "measure the gain on
 
 
 def refuse_scarce(channel: Measurements, least: Sequence[int], short: str, have: str, wanted: str) -> None:
-    """Refuse measurements that leave one of the three parts too little.
+    """Reject measurements with too few data for one of the three parts.
 
     Args:
         channel: The measurements.

@@ -1,10 +1,10 @@
 r"""Encoder noise as a hypothesis: the part of a statistic that encoder noise alone explains, by a parametric bootstrap.
 
 Encoder noise is in the columns and, times a mass, in the residual; whitening cannot remove noise that both share. The fitted
-baseline is run along the measured motion without noise, its positions get fresh noise of the level seen in the logs, its forces
-the controller's answer to that noise, and the whole preparation is repeated. The mean statistic of a cause on several draws is
-the noncentrality that its statistic would have on a clean log: the p-value is that of a noncentral chi-square, with twice that
-noncentrality, as it is an estimate itself.
+baseline is run along the measured motion without noise, its positions get new noise of the level measured in the logs, its
+forces the controller's response to that noise, and the whole preparation is repeated. The mean statistic of a cause on several
+draws is the noncentrality that its statistic would have on a clean log: the p-value is that of a noncentral chi-square, with
+twice that noncentrality, as it is an estimate itself.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from tau_dyn.evidence.channel import Channel, ColumnCache
 from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, NullModel, WhiteResidual, compute_score_test
 
 N_BOOTSTRAP_DRAWS = 4
-"""Draws of encoder noise; what it makes of a cause on one of them may be near nothing, or four times the mean."""
-NONCENTRALITY_SAFETY_FACTOR = 2.0  # on an estimate from few draws, which is off by up to a factor of two
+"""Draws of encoder noise; the statistic of a cause on one of them may be near zero, or four times the mean."""
+NONCENTRALITY_SAFETY_FACTOR = 2.0  # factor for an estimate from few draws, which is wrong by up to a factor of two
 
 
 class NoiseOnlyBootstrap:
-    """Channels of logs that hold nothing but the baseline and encoder noise, made when first needed."""
+    """Channels of logs that hold only the baseline and encoder noise, made when first needed."""
 
     def __init__(self, make: Callable[[], Sequence[Channel]]) -> None:
         """`make` returns the channels, a draw of noise each."""
@@ -44,7 +44,7 @@ class NoiseOnlyBootstrap:
         return [ColumnCache(channel) for channel in self.channels]
 
     def within(self, parts: tuple[np.ndarray, ...]) -> NoiseOnlyBootstrap:
-        """Return the same channels divided otherwise."""
+        """Return the same channels with other parts."""
         return NoiseOnlyBootstrap(lambda: [replace(channel, parts=parts) for channel in self.channels])
 
     def fit_null_models(self, null_model: WhiteResidual, effects: Sequence[Effect]) -> list[NullModel]:
@@ -54,13 +54,13 @@ class NoiseOnlyBootstrap:
     def reject_artefacts(
         self, null_model: NullModel, candidate: CandidateCause, others: Sequence[Effect], n: int
     ) -> CandidateCause | None:
-        """Return a candidate without the groups that encoder noise could have made; None if it could have made the strongest.
+        """Return a candidate without the groups that encoder noise can explain; None if it can explain the strongest one.
 
         Args:
             null_model: The training data of the measured channel, for its noise model and scale.
             candidate: The cause, on measured data.
             others: The other causes.
-            n: Number of causes tried, which count in the chance as the candidate's groups and settings do.
+            n: Number of causes tried, for which p-values are corrected, as for the candidate's groups and settings.
         """
         noise_only_models = self.fit_null_models(null_model, others)
         chances = []
@@ -84,7 +84,7 @@ def compute_artefact_chance(
     sided: np.ndarray,
     absorbed: float = MIN_UNABSORBED_SHARE,
 ) -> float:
-    """Return the chance that encoder noise makes a statistic of these columns on each blank, by a noncentral chi-square."""
+    """Return the p-value of a statistic of these columns under encoder noise on each null model, by a noncentral chi-square."""
     bias = NONCENTRALITY_SAFETY_FACTOR * estimate_noncentrality(noise_only_models, null_model, columns, sided, absorbed)
     return float(stats.ncx2.sf(statistic, len(sided), bias) if bias > 0 else stats.chi2.sf(statistic, len(sided)))
 
@@ -96,11 +96,11 @@ def estimate_noncentrality(
     sided: np.ndarray,
     absorbed: float = MIN_UNABSORBED_SHARE,
 ) -> float:
-    """Return what columns explain of the misfit that encoder noise makes, in units of the measured noise.
+    """Return the statistic of columns on the misfit due to encoder noise, in units of the measured noise.
 
-    It is the mean over draws of the noise, less the contribution of the draws' own chance to the mean of squares. More than
-    the measured noise it cannot have made. Where it seems so, a loop followed it: the misfit is `|S|^2` of that of the
-    simulated logs, in power, and so is what columns find in it.
+    It is the mean over draws of the noise, minus the contribution of the draws' own scatter to the mean of squares. Encoder
+    noise cannot cause more than the measured noise. If it seems so, a loop followed it: the power of the misfit, and of the
+    columns' part of it, is `|S|^2` times that of the simulated logs.
     """
     T = [
         compute_score_test(b, b.whiten_columns(c), np.zeros_like(sided), absorbed)[0]

@@ -8,8 +8,8 @@ the gain in twice the log-likelihood by `C`, the baseline refitted (Frisch & Wau
 as many degrees of freedom as columns; `T` of the true column alone has the noncentrality `lambda`.
 
 The noise that whitens is estimated on the residual of a rich model: on the baseline's residual a hidden effect would count as
-noise. So every output may depend smoothly on all variables of its own joint, times the direction of motion, and ring at the
-frequencies that a black-box fit proposes (an autoregressive model would otherwise take a resonance for the noise's colour).
+noise. So every output may depend smoothly on all variables of its own joint, times the direction of motion, and resonate at the
+frequencies that a black-box fit proposes (an autoregressive model would otherwise attribute a resonance to the noise).
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ from tau_dyn.evidence.measurements import Measurements
 from tau_dyn.log import find_true_runs
 
 WHOLE_TIME = "t_whole"
-"""Time through all logs, one after the other, where there are several: what settles may go on in the next one, or begin anew."""
+"""Time through all logs, one after the other, if there are several: a transient may continue in the next log, or start
+again."""
 SMOOTH_DEGREE = 4  # of the smooth functions of a variable
 _MAX_ORDER = 8  # of the autoregressive model of the residual, selected below it
 
@@ -38,7 +39,7 @@ _MAX_ORDER = 8  # of the autoregressive model of the residual, selected below it
 def fit_noise_models(
     measurements: Measurements, parts: Sequence[int], extra: Sequence[Sequence[np.ndarray]] = ()
 ) -> tuple[Autoregression, ...]:
-    """Return the noise model of each output, from samples of these parts, further columns (n, m, k) accounted for."""
+    """Return the noise model of each output, from samples of these parts, with further columns (n, m, k) in the model."""
     masks, variables, target = measurements.masks(*parts), measurements.variables(), measurements.target
     known = [*measurements.list_known_columns(), *extra]
     models = []
@@ -63,7 +64,7 @@ def fit_noise_model(
     Args:
         columns: Columns (n, c) of each run.
         measured: Measurements (n,) of each run.
-        masks: Which samples count (n,).
+        masks: Samples that are used (n,).
         max_order: Largest order of the model; 0 for independent noise.
         unbiased: Whether the variance is enlarged for the rank of the columns.
 
@@ -92,10 +93,10 @@ def build_smooth_columns(variables: Sequence[Mapping[str, np.ndarray]], output: 
 
 
 class JoinedVariables:
-    """All runs' variables one after the other: one function of them, whatever range a run covers."""
+    """All runs' variables one after the other: the same function for all runs, independent of their range."""
 
     def __init__(self, variables: Sequence[Mapping[str, np.ndarray]]) -> None:
-        """Join what all runs give."""
+        """Join the variables of all runs."""
         common = [name for name in variables[0] if all(name in v for v in variables)]
         self.values = {name: np.concatenate([v[name] for v in variables]) for name in common}
         self._ends = np.cumsum([len(next(iter(v.values()))) for v in variables])[:-1]
@@ -121,7 +122,7 @@ def _smooth_own(variables: Mapping[str, np.ndarray], output: str) -> np.ndarray:
 
 
 def smooth(x: np.ndarray, degree: int = SMOOTH_DEGREE) -> list[np.ndarray]:
-    """Return Legendre polynomials of degree 1 to `degree` of a variable (n,) scaled to its range; none if constant."""
+    """Return Legendre polynomials of degree 1 to `degree` of a variable (n,) scaled to its range; empty if it is constant."""
     low, high = float(x.min()), float(x.max())
     if not high > low:
         return []
@@ -133,22 +134,23 @@ PRIOR_WEIGHT_BLOCKS = 10.0
 """Weight against the scatter of blocks, in blocks: of 'the noise model is right' on the training data, and of the training
 part's own scatter on the held-out one."""
 MIN_UNABSORBED_SHARE = 1e-4
-"""Part of a column's square that the baseline leaves, below which the baseline's refit absorbs it. It is not smaller
-because encoder noise sits in the baseline's columns: a smooth copy of one of them would be left with that noise, and find it."""
+"""Share of a column's square that the baseline leaves, below which the baseline's refit absorbs it. It is not smaller because
+the baseline's columns contain encoder noise: a smooth copy of one of them would keep that noise as its residual, and detect
+it."""
 
 
 @dataclass(frozen=True, eq=False)
 class WhiteResidual:
-    """White rows of one part of measurements with everything accounted for projected out.
+    """White rows of one part of measurements, with everything in the model projected out.
 
     Attributes:
         measurements: The measurements.
         parts: The parts of the data.
-        whiten: Makes rows of arrays over the runs.
+        whiten: Converts arrays over the runs to white rows.
         Q: Orthonormal basis of all columns in the model (R, r).
         e: The residual (R,).
         noise: Noise model of each output.
-        scale: Standard deviation of white rows (1 where the noise model is right); rows are divided by it.
+        scale: Standard deviation of white rows (1 if the noise model is right); rows are divided by it.
     """
 
     measurements: Measurements
@@ -192,7 +194,7 @@ class WhiteResidual:
         return C.T @ C - A.T @ A
 
     def project_out(self, C: np.ndarray) -> np.ndarray:
-        """Return white rows (R, k) with everything accounted for projected out."""
+        """Return white rows (R, k) with everything in the model projected out."""
         return C - self.Q @ (self.Q.T @ C)
 
 
@@ -202,7 +204,7 @@ def _project_out_rows(
     """Return `Q` (R, r), the residual (R,) over its scale, and the scale.
 
     Args:
-        measurements: Give the prior of the baseline's free columns.
+        measurements: The measurements, for the prior of the baseline's free columns.
         rows: White rows of these columns, then of further ones.
         target: White rows of the measurements (R,).
     """
@@ -222,7 +224,7 @@ class NullModel(WhiteResidual):
     """The white residual of a channel, with effects in the model.
 
     Attributes:
-        library: Makes columns of effects on the channel.
+        library: Cache of columns of effects on the channel.
     """
 
     library: ColumnCache
@@ -239,12 +241,12 @@ class NullModel(WhiteResidual):
         return cls(channel, tuple(parts), whiten, Q, e, tuple(noise), scale, library)
 
     def with_effects(self, effects: Sequence[Effect]) -> NullModel:
-        """Return the same part under the same noise, with these effects accounted for."""
+        """Return the same part under the same noise, with these effects in the model."""
         return NullModel.of(self.library, self.parts, self.noise, effects)
 
     @property
     def channel(self) -> Channel:
-        """Where the data come from."""
+        """The source of the data."""
         return self.library.channel
 
     def rows(self, effect: Effect) -> np.ndarray:
@@ -288,7 +290,7 @@ def orthonormalise(B: np.ndarray, tolerance: float = 1e-6) -> np.ndarray:
     B = B[:, norm > 0] / norm[norm > 0]
     if B.size == 0:
         return np.zeros((len(B), 0))
-    tall, triangle = np.linalg.qr(B)  # pivots are looked for in the triangle: exchanging long columns is slow
+    tall, triangle = np.linalg.qr(B)  # pivots are searched in the triangle: exchanging long columns is slow
     Q, R, _ = cast(Any, linalg.qr(triangle, mode="economic", pivoting=True))
     diagonal = np.abs(np.diag(R))
     return tall @ Q[:, : int(np.sum(diagonal > tolerance * diagonal[0]))]
@@ -309,11 +311,11 @@ def compute_overdispersion(block: np.ndarray, scores: np.ndarray, square: float)
 
 
 def count_effective_tests(tails: np.ndarray, seen: int) -> float:
-    """Return the number of independent tries `m` with `P(T <= t) = F(t)^m`, by maximum likelihood.
+    """Return the effective number of independent tests `m` with `P(T <= t) = F(t)^m`, by maximum likelihood.
 
     Args:
-        tails: Chances `1 - F(t)` of the largest `T` of each draw of noise (D,).
-        seen: Draws whose `T` is known and not only zero at most.
+        tails: p-values `1 - F(t)` of the largest `T` of each draw of noise (D,).
+        seen: Draws whose `T` is known, not only bounded by zero.
     """
     return float(max(1.0, -seen / np.sum(np.log1p(-tails))))
 
@@ -351,9 +353,9 @@ def compute_score_statistics(
     Args:
         s: Scores (g, k, d) of g settings with k columns each and d residuals.
         G: Gram matrices (g, k, k), baseline projected out.
-        raw: The columns' own squares (g, k), to see which the baseline absorbs.
-        nonnegative: Which amplitudes only make sense from zero up (k,).
-        absorbed: Part of a column that the baseline must leave for it to count.
+        raw: The columns' own squares (g, k), to detect those that the baseline absorbs.
+        nonnegative: Amplitudes that must not be negative (k,).
+        absorbed: Least share of a column that the baseline must leave.
 
     Returns:
         (g, d); zero where the best admissible amplitude is zero or the baseline absorbs the columns.

@@ -1,12 +1,12 @@
-"""May a cause be confirmed? Its amplitudes are plausible, its settings inside the range of the search, and it is no companion.
+"""Conditions for a confirmed cause: plausible amplitudes, settings inside the range of the search, and no companion.
 
-A fit finds the best amplitude of any law; these rules ask whether a machine can have it. They are applied after the search: a
-law that fails them has been accounted for while others were looked for, and stays in the answer as `suspected` with the reason.
+A fit finds the best amplitude of any law; these rules check whether a machine can have it. They are applied after the search: a
+law that fails them was in the model during the search for others, and remains in the result as `suspected`, with the reason.
 
-No law is exact on a machine. The remainder of a large force is a small force on the same joint, which another cause's law may
-take up: its companion. Two laws of one joint's speed take up each other's remainder best: there a curve that one law alone meets
-to within what measured friction follows textbook laws is no evidence for a second law. Reference: Armstrong-Helouvry, Dupont &
-Canudas de Wit 1994.
+No law is exact on a machine. The remainder of a large force is a small force on the same joint, which the law of another cause,
+its companion, may absorb. Two laws of one joint's speed absorb each other's remainder best: if one law alone fits a curve
+within the usual inexactness of textbook friction, the curve is no evidence for a second law. Reference: Armstrong-Helouvry,
+Dupont & Canudas de Wit 1994.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from tau_dyn.parameters import Parameter, Parameters
 
 
 class Implausible(str):
-    """Why a fitted cause is implausible: its amplitude, a setting, or a difference between joints."""
+    """Reason why a fitted cause is implausible: its amplitude, a setting, or a difference between joints."""
 
 
 INCONSISTENT_LEVEL = 1e-3
 """Significance level of a difference between joints; standard errors of amplitudes may be some tens of per cent too small."""
 MAX_EXCESS_STDERR = 2.0
-"""Standard errors by which a number may miss its plausible range and count as within it."""
+"""Standard errors by which a value may be outside its plausible range and still count as within it."""
 
 
 def measure_scales(
     parameters: Parameters, scene: Scene, force: np.ndarray, inertia: np.ndarray
 ) -> dict[str, dict[str, float]]:
-    """Return what plausible amplitudes are shares of.
+    """Return the references of which plausible amplitudes are shares.
 
     Args:
-        parameters: A fitted model's, with any friction it has.
+        parameters: Parameters of a fitted model, including its friction.
         scene: The joints and their speeds.
         force: Largest measured force (na,) [N or N m].
         inertia: Largest inertia (na,) [kg or kg m^2].
@@ -56,7 +56,7 @@ def measure_scales(
 
 
 def measure_friction(parameters: Parameters, scene: Scene) -> dict[str, dict[str, float]]:
-    """Return the friction of each joint of a fitted model [N or N m, and per speed]; nothing where it has none."""
+    """Return the friction of each joint of a fitted model [N or N m, and per speed]; empty if it has no friction."""
     found: dict[str, dict[str, float]] = {}
     for k, joint in enumerate(scene.joints):
         own: dict[str, float] = {}
@@ -72,7 +72,7 @@ def measure_friction(parameters: Parameters, scene: Scene) -> dict[str, dict[str
 
 
 def widen_scales(first: JointScales, *others: JointScales) -> JointScales:
-    """Return the larger of each scale: next to a friction cause the fit may leave little to the baseline's friction."""
+    """Return the larger of each scale: next to a friction cause, the baseline's friction in the fit may be small."""
     return {
         joint: {key: max([x, *(s[joint][key] for s in others if key in s.get(joint, {}))]) for key, x in own.items()}
         for joint, own in first.items()
@@ -80,12 +80,12 @@ def widen_scales(first: JointScales, *others: JointScales) -> JointScales:
 
 
 def find_implausible(effects: Sequence[Effect], values: Parameters, scales: JointScales) -> str:
-    """Return the amplitude outside its plausible range, as a phrase; empty where all lie within."""
+    """Return the amplitude outside its plausible range, as a phrase; empty if all lie within."""
     return next((text for effect in effects if (text := effect.find_implausible(values, scales))), "")
 
 
 def find_out_of_range(parameters: Sequence[Parameter]) -> str:
-    """Return the parameter beyond its bounds by more than its uncertainty, as a phrase; empty where all lie within."""
+    """Return the parameter beyond its bounds by more than its uncertainty, as a phrase; empty if all lie within."""
     for p in parameters:
         spare = MAX_EXCESS_STDERR * (p.stderr or 0.0)
         if not p.lower - spare <= p.value <= p.upper + spare:
@@ -96,9 +96,9 @@ def find_out_of_range(parameters: Sequence[Parameter]) -> str:
 
 
 def find_inconsistent(effects: Sequence[Effect], values: Parameters, step_s: float) -> str:
-    """Return that a time which all joints share differs from joint to joint, as a phrase; empty where it does not.
+    """Return that a time common to all joints differs between joints, as a phrase; empty if it does not.
 
-    Channels that one controller reads in turn are anywhere within one sample, so times that differ by less are one.
+    Channels that one controller reads in sequence are spread within one sample, so times that differ by less count as equal.
 
     Args:
         effects: The cause's effects on its joints.
@@ -123,8 +123,8 @@ def find_inconsistent(effects: Sequence[Effect], values: Parameters, step_s: flo
 def is_distinct_from_zero(effects: Sequence[Effect], estimate: Estimate, min_z: float) -> bool:
     """Return whether the amplitudes together are distinct from zero: a Wald test at the level of `min_z` standard errors.
 
-    Amplitudes that move against each other may each be known badly and yet not both be zero. Of the two covariances of an
-    estimate the one that finds less counts. Amplitudes without a standard error, as at a bound, are left out.
+    Correlated amplitudes may each be poorly determined and yet not both be zero. The less significant result of the two
+    covariances of an estimate is used. Amplitudes without a standard error, as at a bound, are left out.
     """
     base, parameters = estimate.base, estimate.parameters
     own = {name for effect in effects for name in effect.parameters.names}
@@ -144,15 +144,15 @@ def is_distinct_from_zero(effects: Sequence[Effect], estimate: Estimate, min_z: 
 
 
 MIN_FORCE_SHARE = 1e-5
-"""Share of a joint's force that no force is measured to: what filters leave of exact data is no cause."""
+"""Share of a joint's force below the accuracy of measurements: filter residues of exact data are not a cause."""
 MAX_LAW_ERROR = 0.05
-"""Share of a force by which its law may be inexact: textbook laws of friction meet measured curves to five to ten per cent."""
+"""Share of a force by which its law may be inexact: textbook laws of friction fit measured curves to five to ten per cent."""
 _SPEEDS = 40
 """Speeds at which two laws are compared, evenly spaced by ratio."""
 _SETTING_FACTORS = tuple(np.geomspace(0.25, 4.0, 9))
-"""Factors by which a law's settings are tried, as they adjust where another law is left out."""
+"""Factors by which a law's settings are varied, as they adjust if another law is left out."""
 _MAX_ROWS = 8000
-"""Samples from which a force's size is taken: many times the number of parameters."""
+"""Samples from which a force's size is computed: many times the number of parameters."""
 _SMALL = "it is {:.1f} % of the force of {} there, whose law is not known as exactly as that"
 _ONE_CURVE = "{} alone meets the joint's friction to {:.1f} %, and no law of friction is known more exactly than that"
 
@@ -162,7 +162,7 @@ def measure_net_forces(library: ColumnCache, kept: Sequence[SelectedCause], valu
     channel = library.channel
     sizes = np.zeros((len(kept), len(channel.outputs)))
     usable = sum(int(mask.sum()) for mask in channel.masks(TRAIN, VALIDATION))
-    every = 1 + usable // (_MAX_ROWS * len(channel.outputs))  # thinned evenly
+    every = 1 + usable // (_MAX_ROWS * len(channel.outputs))  # decimated evenly
     for k in range(len(channel.outputs)):
         base = channel.gather(channel.free_columns, k, TRAIN, VALIDATION)[::every]
         for n, one in enumerate(kept):
@@ -177,7 +177,7 @@ def measure_net_forces(library: ColumnCache, kept: Sequence[SelectedCause], valu
 
 
 def find_companion(library: ColumnCache, kept: Sequence[SelectedCause], values: Parameters) -> tuple[int, str] | None:
-    """Return the place of a cause that is no larger, on each of its joints, than another cause's law is inexact, and why.
+    """Return the index of a cause that is no larger, on each of its joints, than the inexactness of another law, and the reason.
 
     Args:
         library: The exact columns of effects.
@@ -197,7 +197,7 @@ def find_companion(library: ColumnCache, kept: Sequence[SelectedCause], values: 
 
 
 def _find_second_speed_law(kept: Sequence[SelectedCause], values: Parameters, scene: Scene) -> tuple[int, str] | None:
-    """Return a law of speed whose joints' friction another one meets alone, and why, or None."""
+    """Return a law of speed whose joints' friction another law alone fits, and the reason, or None."""
     laws = [n for n, one in enumerate(kept) if all(effect.speed_law for effect in one.candidate.effects)]
     reasons: dict[int, list[str]] = {n: [] for n in laws}
     for joint in scene.joints:
@@ -219,14 +219,14 @@ def _find_second_speed_law(kept: Sequence[SelectedCause], values: Parameters, sc
 def measure_law_error(
     law: Sequence[Effect], every: Sequence[Effect], values: Parameters, scene: Scene, joint: str
 ) -> float:
-    """Return by how much one law of speed misses a joint's friction by several, at worst, as a share of the friction there.
+    """Return the largest relative error of one law of speed for a joint's friction by several laws.
 
-    Coulomb and viscous friction and the settings that the law adjusts are fitted again, to relative errors.
+    Coulomb and viscous friction and the adjustable settings of the law are fitted again, to relative errors.
 
     Args:
         law: Effects of the law.
         every: Effects of all the laws.
-        values: The fitted amplitudes, and the joint's Coulomb and viscous friction where the model has them.
+        values: The fitted amplitudes, and the joint's Coulomb and viscous friction if the model has them.
         scene: The range of the motion; the speeds are between its slowest and its fast ones.
         joint: The joint.
     """
@@ -270,7 +270,7 @@ def compute_least_forces(channel: Channel) -> np.ndarray:
 def demote_small(
     items: Sequence[Unexplained], outputs: Sequence[str], rms: np.ndarray, least: np.ndarray
 ) -> tuple[Unexplained, ...]:
-    """Return the structures, those as suspected that are smaller than confirmed laws and measured forces are exact.
+    """Return the structures; those below the inexactness of confirmed laws and measured forces are suspected.
 
     Args:
         items: Structures.

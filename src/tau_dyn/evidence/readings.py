@@ -1,6 +1,6 @@
-"""When is another reading of a log or a pose file accepted: another sign, joint, scale, unit or clock, or forces without gravity?
+"""Acceptance of another reading of a log or a pose file: another sign, joint, scale, unit or clock, or forces without gravity.
 
-Readings have no parameter, or one number a column. Each is compared with the data as read by its log marginal likelihood,
+Readings have no parameter, or one number per column. Each is compared with the data as read by its log marginal likelihood,
 Laplace's approximation about the maximum a posteriori fit (MacKay 1992; Kass & Raftery 1995; Burnham & Anderson 2002, 2.2):
 
     log p = -sum_j n_j log(sigma_j) - |u|^2 / 2 - log det(A / P) / 2,     n_j = effective number of samples
@@ -12,11 +12,12 @@ whose fit has no prior. A reading is named only if four conditions hold.
 2. **Good fit**: the outputs concerned are predicted well. A true reading is exact, so it leaves the sensor's noise and the
    model's small errors; a machine that the model describes badly is not described well by another wrong model. Gains alone do
    not separate the two: model errors are correlated between samples, and their likelihood ratio grows with the data's length.
-3. **Both halves of a log agree**: columns are named once, so each half prefers the reading by itself. A chance winner gains in
-   one half and loses in the other. Poses are no sequence; four fifths of them have to fit well.
+3. **Both halves of a log agree**: column names hold for the whole log, so each half has to prefer the reading separately. A
+   chance winner gains in one half and loses in the other. Poses are no sequence; four fifths of them have to fit well.
 4. **No veto**: recorded velocities, and limits of position, speed and force in the robot file, do not contradict it.
 
-Readings closer than `ALIAS_NATS` are told together. A reading is advised or applied only after the data read so pass the test.
+Readings closer than `ALIAS_NATS` are reported together. A reading is recommended or applied only if the data read in this way
+pass the test.
 """
 
 from __future__ import annotations
@@ -30,39 +31,42 @@ import numpy as np
 Reading = TypeVar("Reading")
 
 MIN_GAIN_NATS = 30.0
-"""Log-likelihood gain from which a reading is named [nats]; sound logs with bodies 40 % off the file reach about 5."""
+"""Log-likelihood gain from which a reading is named [nats]; sound logs with bodies that differ by 40 % from the file reach
+about 5."""
 
 MIN_LACK_NATS = 12.0
 """The same for forces that lack a known part [nats]: a reading without a number among some ten; 1 log in 1e4 by chance."""
 
 MAX_LACK_POWER_RATIO = 2.0
-"""Residual power of forces that lack a part over that of the log as read: the true reading leaves the noise, which no other fit
-goes below by half. Bodies that are in the forces leave far more once they are denied, also below the model error."""
+"""Residual power of forces that lack a part over that of the log as read: the residual of the true reading is the noise, and no
+other fit has less than half of it. If bodies that are in the forces are left out, the residual is far larger, also below the
+model error."""
 
 ALIAS_NATS = 5.0
 """Readings closer than this cannot be distinguished [nats]; both are reported."""
 
 NATS_PER_NUMBER = 5.0
-"""Cost of a number that a reading estimates [nats]: a range of three decades at a standard error of 5 %."""
+"""Penalty of a number that a reading estimates [nats]: a range of three decades at a standard error of 5 %."""
 
 MIN_POWER_DROP = 0.5
-"""Share of the residual's power that a reading leaves of some joint: model errors are not repaired by another reading."""
+"""Largest share of the residual's power of some joint under a reading: another reading does not correct model errors."""
 
 SPARED_NATS = 15.0
-"""Gain of the prior alone from which a reading counts without a better fit [nats]: bodies as in the file, not absurd ones."""
+"""Gain of the prior alone from which a reading is accepted without a better fit [nats]: bodies as in the file, not absurd
+ones."""
 
 MAX_GOOD_SHARE = 0.15
 """Largest residual of the joints concerned, as a share of their force; sound robots leave 2 to 15 %.
-The force of a joint that swings nearly free is the small difference of large terms, and no reading of the log explains it."""
+The force of a joint that moves nearly freely is the small difference of large terms, and no reading of the log explains it."""
 
 MAX_HALF_LOSS_NATS = 1.0
-"""Loss in one half of a log that is no objection [nats]: a half without evidence has a ratio of likelihoods near one."""
+"""Largest tolerated loss in one half of a log [nats]: a half without evidence has a ratio of likelihoods near one."""
 
 EXPLAINED = 0.02
 """Residual of each joint, as a share of its force, that a reading must reach to be judged by the finer measure."""
 
 MAX_FINE_SHARE = 0.15
-"""Residual of a joint, as a share of its force, from which the coarser measure has already judged all."""
+"""Residual of a joint, as a share of its force, from which the coarser measure has already decided."""
 
 MAX_VELOCITY_MISMATCH = 0.1
 """Difference between the ratio of recorded to differentiated velocity and a reading's ratio that is no veto."""
@@ -72,25 +76,26 @@ LIMIT_MARGIN = 2.0
 reach twice the rated torque."""
 
 MIN_MODEL_ERROR = 0.002
-"""Least model error, as a share of a joint's force, at which readings are told apart: filters and masks leave as much."""
+"""Least model error, as a share of a joint's force, at which readings are distinguished: filters and masks leave as much."""
 
 MAX_NUMBER_STDERR = 0.3
 """Largest relative standard error of a number that a reading estimates; beyond it, the log does not determine the reading."""
 
 MAX_LEFT = 0.15
-"""Share of gravity that may be left in forces from which a controller subtracted it: bodies of its model are 15 % off."""
+"""Share of gravity that may remain in forces from which a controller subtracted it: bodies of its model are wrong by 15 %."""
 
 MAX_LEFT_AT_JOINT = 0.05
 """The same for a single joint, which springs and counterweights balance to 60 to 90 %."""
 
 MIN_MEAN_SHARE = 0.15
-"""Model's mean force, as a share of the joint's force, from which a mean of zero is remarkable: three times the model error."""
+"""Model's mean force, as a share of the joint's force, from which a mean of zero is unlikely: three times the model error."""
 
 MAX_ZERO_MEAN = 1e-2
-"""Mean of a force, as a share of its standard deviation, below which the mean may have been removed: a cut leaves about this."""
+"""Mean of a force, as a share of its standard deviation, below which the mean may have been removed: cutting a log leaves about
+this mean."""
 
 ROUNDING_SHARE = 1e-8
-"""Mean of a force, as a share of its root mean square, that rounding leaves of zero."""
+"""Mean of a force, as a share of its root mean square, that is zero except for rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,9 +105,9 @@ class ReadingFit:
     Attributes:
         log_p: Log marginal likelihood [nats].
         log_posterior: Log posterior density at its maximum [nats].
-        power: Residual power of each output (na,) [N^2 or (N m)^2; of poses the squared share of the spread, rad^2].
+        power: Residual power of each output (na,) [N^2 or (N m)^2; for poses, the squared share of the spread, rad^2].
         prior: Half the squared misfit of the prior [nats].
-        residual: Residual of the samples used, zero elsewhere (n, na) [N or N m; of poses m, rad].
+        residual: Residual of the samples used, zero elsewhere (n, na) [N or N m; for poses, m, rad].
     """
 
     log_p: float
@@ -117,7 +122,8 @@ class ReadingTest:
     """The measure by which readings are judged.
 
     Attributes:
-        size: Size of each output (na,): root mean square force [N or N m]; of poses 1 and the angle [rad] alike to the spread.
+        size: Size of each output (na,): root mean square force [N or N m]; for poses, 1 and the angle [rad] that corresponds to
+            the spread.
         model_error: Least residual of a sound robot, as a share of the size.
         is_fine: Whether each joint must be explained to `EXPLAINED`.
         max_good_share: Largest residual of the outputs concerned, as a share of the size.
@@ -140,7 +146,7 @@ class ReadingTest:
         return bool(explained and as_good and after.log_p - before.log_p > MIN_LACK_NATS)
 
     def accepts(self, before: ReadingFit | None, after: ReadingFit) -> bool:
-        """Return whether a reading gains enough, and mends a joint or spares the bodies; `before` is None where no fit exists."""
+        """Return whether a reading gains enough, and improves a joint or restores the bodies; `before` may be None."""
         if self.is_fine and np.any(np.sqrt(after.power) > EXPLAINED * self.size):
             return False
         if (
@@ -170,7 +176,7 @@ class ReadingTest:
 
 
 def is_preferred(gain: float, power_left: float) -> bool:
-    """Return whether a gain [nats], and the share of an output's residual power that is left, speak for a reading."""
+    """Return whether a gain [nats], and the remaining share of an output's residual power, support a reading."""
     return bool(gain > MIN_GAIN_NATS and power_left < MIN_POWER_DROP)
 
 
@@ -181,13 +187,13 @@ def search_readings(
     n_branches: int = 1,
     is_enough: Callable[[Reading], bool] = lambda best: False,
 ) -> list[Reading]:
-    """Return the readings that a beam search meets: those of one change first, in each step the best first.
+    """Return the readings of a beam search: those of one change first, in each step the best first.
 
     Args:
         start: The data as read.
-        grow: Returns readings with one change more than some of those before, best first.
+        grow: Returns readings with one more change than given ones, best first.
         max_changes: Number of steps.
-        n_branches: Number of readings that each step goes on from.
+        n_branches: Number of readings from which each step continues.
         is_enough: Whether the best reading of a step ends the search.
     """
     met: list[Reading] = []
@@ -223,12 +229,12 @@ def is_hopeless(test: ReadingTest, fit: ReadingFit, noise: np.ndarray) -> bool:
 
 
 def is_part_missing(left: float, *, is_single: bool) -> bool:
-    """Return whether the share that is left of gravity, or of the bodies' forces, is consistent with none."""
+    """Return whether the remaining share of gravity, or of the bodies' forces, is consistent with zero."""
     return abs(left) < (MAX_LEFT_AT_JOINT if is_single else MAX_LEFT)
 
 
 def is_preferred_in_each_half(gains: Sequence[float]) -> bool:
-    """Return whether the gains of a reading in parts of a log [nats] contradict it nowhere."""
+    """Return whether the gains of a reading in parts of a log [nats] do not contradict it."""
     return min(gains, default=0.0) > -MAX_HALF_LOSS_NATS
 
 
@@ -245,7 +251,7 @@ def permits_speed_scale(recorded: np.ndarray, expected: np.ndarray) -> bool:
 
 
 def permits_size(logged: np.ndarray, read: np.ndarray, limit: np.ndarray) -> bool:
-    """Return whether limits (na,) permit a reading: what they hold as logged (na,) may not exceed them by far as read (na,)."""
+    """Return whether limits (na,) permit a reading: signals within them as logged (na,) may not far exceed them as read (na,)."""
     kept = np.isfinite(limit) & (limit > 0) & (logged <= limit)
     return bool(np.all(read[kept] <= LIMIT_MARGIN * limit[kept]))
 

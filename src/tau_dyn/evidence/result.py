@@ -33,7 +33,7 @@ class WholeErrors:
 
 @dataclass(frozen=True, eq=False)
 class OutputErrors:
-    """How far a model is from the test data.
+    """Errors of a model on the test data.
 
     Attributes:
         outputs: The measured quantities: joints' forces, joints' deflections, or the tool's axes.
@@ -41,8 +41,8 @@ class OutputErrors:
         ci95: Its 95 % interval (m, 2), from blocks.
         relative_error_percent: `100 norm(residual) / norm(measured)` over all outputs.
         relative_ci95: Its 95 % interval, from blocks.
-        all_samples: Rms of each output and relative error of the same stretches without masks; None where not known.
-        used_shares: Share of these stretches' samples that the masks leave, for each output; empty where not known.
+        all_samples: Rms of each output and relative error of the same stretches without masks; None if unknown.
+        used_shares: Share of these stretches' samples that the masks leave, for each output; empty if not known.
     """
 
     outputs: tuple[str, ...]
@@ -55,7 +55,7 @@ class OutputErrors:
 
     @property
     def used_share(self) -> float:
-        """Share of the samples of all outputs that the masks leave; all of them where nothing else is known."""
+        """Share of the samples of all outputs that the masks leave; by default all of them."""
         return float(np.mean(self.used_shares)) if self.used_shares else 1.0
 
     def to_dict(self) -> dict[str, Any]:
@@ -76,13 +76,13 @@ class OutputErrors:
 
 @dataclass(frozen=True, eq=False)
 class SearchBand:
-    """Errors on the test data in the band in which causes are searched, where errors are reported in a narrower one.
+    """Errors on the test data in the band in which causes are searched, if errors are reported in a narrower one.
 
     Attributes:
         cutoff_hz: Upper end of the band [Hz].
         baseline: Errors of the refitted model.
         extended: Errors of the extended model.
-        noise_floor: What no model of these variables can get below.
+        noise_floor: Lower bound of the error of any model of these variables.
     """
 
     cutoff_hz: float
@@ -111,15 +111,15 @@ class Step:
 
 @dataclass(frozen=True)
 class Gain:
-    """What a cause is worth on the test data.
+    """Improvement by a cause on the test data.
 
     Attributes:
-        rms_before: Rms over the cause's outputs without it [unit of the output]; of poses the rms position error [m].
+        rms_before: Rms over the cause's outputs without it [unit of the output]; for poses, the rms position error [m].
         rms_after: The same with it.
-        reduction_percent: Reduction of the error [%]; of poses that of position and orientation, each over its noise.
+        reduction_percent: Reduction of the error [%]; for poses, of position and orientation, each divided by its noise.
         ci95: Its 95 % interval [%].
-        p_value: Chance of so much gain where there is none, by a paired test over poses; None where data are in blocks.
-        orientation_rms_before: Rms orientation error of poses without it [rad]; None where orientation is not predicted.
+        p_value: Probability of so large a gain without an effect, by a paired test over poses; None for data in blocks.
+        orientation_rms_before: Rms orientation error of poses without it [rad]; None if orientation is not predicted.
         orientation_rms_after: The same with it.
     """
 
@@ -132,11 +132,11 @@ class Gain:
     orientation_rms_after: float | None = None
 
     def compute_score(self, n_numbers: int) -> float:
-        """Return twice the gain in log-likelihood of so many Gaussian numbers with a free variance."""
+        """Return twice the gain in log-likelihood of a number of Gaussian values with a free variance."""
         return float(-2 * n_numbers * np.log(max(1 - self.reduction_percent / 100, 1e-300)))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the contract's form; gains of poses have more keys."""
+        """Return the contract's form; gains of poses have additional keys."""
         of_poses = ("p_value", "orientation_rms_before", "orientation_rms_after")
         return to_plain(self, leave_out=() if self.p_value is not None else of_poses)
 
@@ -149,7 +149,7 @@ Status = Literal["confirmed", "suspected", "parameter"]
 
 @dataclass(frozen=True, eq=False)
 class Signature(Brief):
-    """A plot that shows a cause at a glance: the residual of one output against the variable that matters.
+    """A plot of a cause: the residual of one output against the relevant variable.
 
     Attributes:
         output: The joint or axis shown.
@@ -177,7 +177,7 @@ class Limit:
         amplitude: The amplitude at the joint where the cause is hardest to detect.
         unit: Its unit.
         phrase: The same in words.
-        per_joint: The amplitude at each joint, where it is known.
+        per_joint: The amplitude at each joint, if known.
     """
 
     cause: str
@@ -199,23 +199,23 @@ class Finding(Brief):
     Attributes:
         cause: Its name in the contract.
         joints: Joints it acts on.
-        status: `confirmed` on held-out data, `suspected`, or `parameter` (a refit off its trusted nominal).
-        score: Twice the gain in log-likelihood on the training data (of a move between two files, on the later one).
-        p_value: Chance of such a score on clean data, all causes and settings tried taken into account.
+        status: `confirmed` on held-out data, `suspected`, or `parameter` (a refit that differs from its trusted nominal value).
+        score: Twice the gain in log-likelihood on the training data (for a move between two files, on the later one).
+        p_value: p-value of the score on clean data, corrected for all causes and settings tried.
         parameters: Amplitudes and settings with their standard errors.
-        gain: Its gain on the test data; None where the baseline's refit absorbs it.
+        gain: Its gain on the test data; None if the baseline's refit absorbs it.
         indistinguishable_from: Causes that these data do not separate from it.
         equation: The law in one line.
         sentence: The finding in one sentence.
-        experiment: The experiment that separates it from indistinguishable causes; empty without any.
+        experiment: The experiment that separates it from indistinguishable causes; empty if there are no such causes.
         effects: The effects that extend the model; empty for `parameter`.
         signature: Its plot; None for `parameter`.
         channel: `force`, `tool`, `deflection`, `position` (of servo loops) or `pose`.
-        confirmation: Share of the predicted effect that the held-out data show, with its standard error; 1 is all of it.
-        why_not_confirmed: Why it is `suspected` only; empty if it is confirmed.
+        confirmation: Share of the predicted effect that the held-out data show, with its standard error; 1 is the full effect.
+        why_not_confirmed: The reason why it is only `suspected`; empty if it is confirmed.
         is_shown: Whether the validation data show it; a suspected cause that they show is a residual above the noise.
         detection_limit: The smallest amplitude that these data show with 95 % power; None for a rejected candidate.
-        logs: Logs that it concerns; empty for all.
+        logs: Logs to which it applies; empty for all.
         dof: Degrees of freedom of the standard errors.
     """
 
@@ -241,12 +241,12 @@ class Finding(Brief):
     dof: float = np.inf
 
     def reject(self, why: str) -> Finding:
-        """Return the finding as suspected, with the reason; the reason of one that is suspected already stays."""
+        """Return the finding as suspected, with the reason; an already suspected finding keeps its reason."""
         return replace(self, status="suspected", why_not_confirmed=self.why_not_confirmed or why)
 
     @property
     def rank(self) -> tuple[bool, bool, float]:
-        """Its place: confirmed ones first, by how much they take off the held-out error; the rest by score."""
+        """Sort key: confirmed findings first, by the reduction of the held-out error; the rest by score."""
         worth = self.score if self.gain is None else self.gain.rms_before**2 - self.gain.rms_after**2
         return self.status == "parameter", self.status == "suspected", -worth
 
@@ -266,9 +266,9 @@ class Unexplained:
     Attributes:
         joint: The joint whose force shows it.
         depends_on: Variables it depends on, such as `v_cart1`, `q_cart2`, `t`.
-        share_of_residual_variance: Its part of the residual's variance, 0 to 1.
+        share_of_residual_variance: Its share of the residual's variance, 0 to 1.
         suggested_formula: A simple expression that fits, or empty.
-        p_value: Chance of it on clean data.
+        p_value: Its p-value on clean data.
         signature: Its plot.
         status: `confirmed` on held-out data or `suspected`.
         indistinguishable_from: Other sets of variables that explain it as well.
@@ -290,7 +290,7 @@ class Unexplained:
 
 @dataclass(frozen=True)
 class Untestable:
-    """A cause that these logs cannot show, why, and the experiment that would."""
+    """A cause that these logs cannot show, the reason, and the experiment that would show it."""
 
     cause: str
     why: str
@@ -305,10 +305,10 @@ class TimeTrace(Brief):
         log: The log's name.
         t: Time (n,) [s].
         measured: Measured outputs (n, m).
-        before: Predicted by the refitted baseline (n, m).
-        after: Predicted by the extended model (n, m).
-        usable: Samples that count (n, m).
-        part: 0 trained, 1 confirmed, 2 gain measured, -1 neither (n,).
+        before: Prediction of the refitted baseline (n, m).
+        after: Prediction of the extended model (n, m).
+        usable: Samples that are used (n, m).
+        part: 0 training, 1 validation, 2 test, -1 unused (n,).
     """
 
     log: str

@@ -1,8 +1,8 @@
 """Settings of a selected law: refined between the points of the grid, grown by terms, replaced at an edge, and plausible.
 
-The best setting of a law may lie at an open end of its grid. Then its true value may be beyond, where amplitude and setting have
-no values of their own. Some families have a member without the setting that all laws beyond the end approach: it replaces the law
-at the edge, or the cause stays suspected.
+The best setting of a law may be at an open end of its grid. Then its true value may be beyond, where amplitude and setting are
+not identifiable separately. Some families have a limit law without the setting, which all laws beyond the end approach: it
+replaces the law at the edge, or the cause remains suspected.
 """
 
 from __future__ import annotations
@@ -28,20 +28,21 @@ from tau_dyn.evidence.null_model import NullModel
 EDGE_TOLERANCE = 1e-3
 """Relative distance from the end of a grid within which a setting counts as at the edge."""
 MIN_LIMIT_SHARE = 2 / 3
-"""Share of the evidence of the law at the edge that the limit law must explain; less is another curve (see `MIMIC_RATIO`)."""
+"""Least share of the statistic of the law at the edge that the limit law must explain; less means another curve (see
+`MIMIC_RATIO`)."""
 _STEPS = 3  # Gauss-Newton steps of the settings
 _TERM_LEVEL = 1e-4
-"""Chance at which noise alone adds a term to a law."""
+"""Significance level of a further term of a law."""
 _WIDE = 2.0  # factor by which a range of settings is widened
 SEARCH_MARGIN = 5.0
-"""Factor by which plausible ranges are widened inside the search: a law beyond it only resembles the true one, and would keep
-it from being found; one closer by is judged at the end, by its final amplitude."""
+"""Factor by which plausible ranges are widened inside the search: a law beyond it only resembles the true one, and would
+prevent its detection; one within it is judged at the end, by its final amplitude."""
 
 
 def refine_settings(candidate: CandidateCause, null_model: NullModel) -> CandidateCause:
     """Return a candidate with its settings adjusted by Gauss-Newton steps within the neighbouring grid points.
 
-    A setting that agrees with an amplitude is found together with it.
+    A setting that equals an amplitude is estimated together with it.
     """
     fits = []
     for fit in candidate.fits:
@@ -72,14 +73,14 @@ def _step(effect: Effect, null_model: NullModel, limits: Sequence[dict[str, floa
     for key, change in zip(effect.refined, solution[len(amplitude) :], strict=True):
         values = [n[key] for n in limits] + [effect.settings[key]]
         low, high = min(values), max(values)
-        if low == high and key in effect.positive:  # the grid has few values of it, not next to each other
+        if low == high and key in effect.positive:  # the grid has few, separate values of it
             low, high = low / _WIDE, high * _WIDE
         changed[key] = float(np.clip(effect.settings[key] + change, low, high))
     return effect.with_settings(**changed) if changed != {k: effect.settings[k] for k in changed} else None
 
 
 def _grown(fit: GroupTest, null_model: NullModel) -> GroupTest:
-    """Return a fit with as many terms of its law as earn their freedom."""
+    """Return a fit with as many terms of its law as are significant."""
     key = fit.effect.grows
     while key:
         more = fit.effect.with_settings(**{key: fit.effect.settings[key] + 1})
@@ -93,7 +94,7 @@ def _grown(fit: GroupTest, null_model: NullModel) -> GroupTest:
 
 
 def find_edge(effects: Sequence[Effect], scene: Scene) -> str:
-    """Return the setting that is at an open end of its grid, as a phrase; empty where none does."""
+    """Return the setting that is at an open end of its grid, as a phrase; empty if there is no such setting."""
     for effect in effects:
         free = {*effect.refined, *effect.open_ends}
         fixed = {key: value for key, value in effect.settings.items() if key not in free}
@@ -123,7 +124,7 @@ def replace_at_edge(fit: GroupTest, null_model: NullModel) -> GroupTest:
 
 
 def find_unbelievable(candidate: CandidateCause, null_model: NullModel) -> str:
-    """Return which amplitude is far beyond its plausible range, as a phrase; empty where all are near it."""
+    """Return the amplitude that is far beyond its plausible range, as a phrase; empty if all are near it."""
     for fit in candidate.fits:
         values = fit.effect.parameters.with_values(estimate_amplitudes(fit.effect, null_model))
         if why := fit.effect.find_implausible(values, null_model.channel.scene.scales, SEARCH_MARGIN):
@@ -134,8 +135,8 @@ def find_unbelievable(candidate: CandidateCause, null_model: NullModel) -> str:
 def estimate_amplitudes(effect: Effect, null_model: NullModel) -> np.ndarray:
     """Return an effect's amplitudes (k,) next to everything in the null model, within their bounds at zero.
 
-    Minimises `x' G x - 2 x' C'e` with `G` the Gram matrix of what the null_model leaves of the columns `C`; directions that it
-    leaves nothing of stay at zero.
+    Minimises `x' G x - 2 x' C'e` with `G` the Gram matrix of the columns' `C` residuals on the null model; directions that the
+    null model absorbs stay at zero.
     """
     C = null_model.rows(effect)
     scale = np.maximum(np.linalg.norm(C, axis=0), 1e-300)

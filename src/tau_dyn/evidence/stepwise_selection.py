@@ -1,9 +1,10 @@
 """Selection of causes on the training data: forward, one cause at a time, then backward.
 
-Each iteration scans every cause with the selected ones in the model, takes the strongest that is no artefact of encoder noise,
-on its own joints, and refines its settings. Statistics are divided by the scatter of the blocks, which is larger for a wrong
-law; two laws that explain the same are compared by their degrees of freedom alone. Afterwards each cause must be significant with
-all others in the model. An alternative cause explains nearly as much in its place and is not significant next to it.
+Each iteration scans every cause with the selected ones in the model, takes the strongest one that is not an artefact of encoder
+noise, on its own joints, and refines its settings. Statistics are divided by the scatter of the blocks, which is larger for a
+wrong law; two laws that explain the same are compared by their degrees of freedom alone. Afterwards each cause must be
+significant with all others in the model. An alternative cause explains nearly as much in its place and is not significant next
+to it.
 """
 
 from __future__ import annotations
@@ -33,14 +34,15 @@ from tau_dyn.evidence.settings import find_unbelievable, refine_settings
 from tau_dyn.evidence.unknown_structure import MIN_2LOGL_DIFFERENCE, Structure, find_structure
 
 MAX_CAUSES = 5
-"""Causes looked for at most."""
+"""Largest number of causes."""
 MIMIC_MARGIN = 12.0
-"""Merit by which an unnamed structure must beat a cause to unseat it: chance alone, over all sets of variables, gives 12."""
+"""Difference of the penalised statistic by which an unnamed structure must exceed a cause to replace it: chance alone, over all
+sets of variables, gives 12."""
 MIMIC_RATIO = 1.5
-"""And how many times more it must explain, unless it needs less freedom; a cause that is most of the truth keeps its name, and
-what is left gets none."""
+"""Factor by which the structure must also explain more, unless it has fewer degrees of freedom; a cause that is most of the
+truth keeps its name, and its residual gets no name."""
 STEADIER_RATIO = 1.15
-"""The same where the cause explains by fits and starts, as a wrong law does, and the structure alike at all times."""
+"""The same factor if the cause's contribution is irregular in time, as with a wrong law, and the structure's is regular."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +50,8 @@ class SelectedCause:
     """A cause that the training data show.
 
     Attributes:
-        candidate: Its fits, settings refined.
-        p_value: Family-wise.
+        candidate: Its fits, with refined settings.
+        p_value: Its family-wise p-value.
         rivals: Causes that explain as much in its place.
     """
 
@@ -77,7 +79,7 @@ class StepwiseSelection:
 
     Attributes:
         found: Causes in the order of their selection.
-        null_model: The training data with baseline and causes accounted for.
+        null_model: The training data with baseline and causes in the model.
         last: All causes of the last scan, with those found in the model.
         rejected: Candidates that are significant in the last scan and were not selected.
     """
@@ -94,7 +96,7 @@ class StepwiseSelection:
 
     @property
     def library(self) -> ColumnCache:
-        """Columns made on the way."""
+        """Cache of the columns."""
         return self.null_model.library
 
     def columns(self, effects: Sequence[Effect]) -> list[Sequence[np.ndarray]]:
@@ -107,7 +109,7 @@ class StepwiseSelection:
         return self.columns(build_effects(self.found))
 
     def others(self, one: SelectedCause) -> list[Effect]:
-        """Return the effects of all causes found but one."""
+        """Return the effects of all causes found except one."""
         return build_effects([other for other in self.found if other is not one])
 
 
@@ -131,7 +133,7 @@ def select_causes(
 
     Args:
         channel: The measurements.
-        rng: For noise draws.
+        rng: Random numbers for noise draws.
         progress: Called with a word for each step.
         level: Family-wise significance level.
         artefact_filter: Removes artefacts of encoder noise from a candidate.
@@ -139,7 +141,7 @@ def select_causes(
     """
     library = ColumnCache(channel)
     found: list[SelectedCause] = []
-    pending: list[tuple[str, ...]] = []  # rivals of each; the next round shows whether they still explain anything
+    pending: list[tuple[str, ...]] = []  # alternatives of each; the next round shows whether they still explain a part
     while True:
         null_model, candidates = _scan_with(library, found, rng, progress, excluded)
         significant = [c for c in candidates if adjust_p_value_bonferroni(c, candidates) < level]
@@ -165,7 +167,7 @@ def select_causes(
 
 
 MAX_REJECTED = 3
-"""Rejected candidates that are examined: the strongest ones; weaker ones mostly resemble these."""
+"""Number of rejected candidates that are examined, the strongest ones; weaker ones mostly resemble these."""
 
 
 def _list_rejected(
@@ -175,7 +177,7 @@ def _list_rejected(
     level: float,
     artefact_filter: ArtefactFilter | None,
 ) -> tuple[RejectedCause, ...]:
-    """Return the significant candidates of the last scan that are no artefacts, with the reason of their rejection."""
+    """Return the significant candidates of the last scan that are not artefacts, with the reason of their rejection."""
     found = []
     ranked = sorted(candidates, key=lambda c: -c.penalised_statistic)
     significant = [c for c in ranked if adjust_p_value_bonferroni(c, candidates) < level]
@@ -192,7 +194,7 @@ def _list_rejected(
 
 
 def _join(found: list[SelectedCause], last: SelectedCause) -> list[SelectedCause]:
-    """Return the causes with one more; one that was found before gets the further joints."""
+    """Return the causes with one more; a cause that was found before gets the additional joints."""
     for k, one in enumerate(found):
         if one.candidate.cause == last.candidate.cause:
             fits = (*one.candidate.fits, *last.candidate.fits)
@@ -201,7 +203,7 @@ def _join(found: list[SelectedCause], last: SelectedCause) -> list[SelectedCause
 
 
 def adjust_p_value_bonferroni(candidate: CandidateCause, candidates: Sequence[CandidateCause]) -> float:
-    """Return a cause's p-value with all causes tried taken into account (Bonferroni)."""
+    """Return a cause's p-value, corrected for all causes tried (Bonferroni)."""
     return min(1.0, candidate.p_value * len(candidates))
 
 
@@ -212,7 +214,7 @@ def _scan_with(
     progress: Callable[[str], None],
     excluded: Collection[tuple[str, tuple[str, ...]]],
 ) -> tuple[NullModel, list[CandidateCause]]:
-    """Return the training data with the causes found accounted for, and all other causes tested next to them."""
+    """Return the training data with the causes found in the model, and all other causes tested next to them."""
     effects = build_effects(found)
     noise = fit_noise_models(library.channel, (TRAIN,), [library.columns(effect) for effect in effects])
     null_model = NullModel.of(library, (TRAIN,), noise, effects)
@@ -224,7 +226,7 @@ def _scan_with(
 def _rescore_with_others(
     null_model: NullModel, found: Sequence[SelectedCause], one: SelectedCause
 ) -> tuple[NullModel, list[GroupTest]]:
-    """Return the null model with all other causes accounted for, and the statistics of the groups of one there."""
+    """Return the null model with all other causes, and the statistics of one cause's groups there."""
     with_others = null_model.with_effects(build_effects([other for other in found if other is not one]))
     return with_others, [rescore_group(fit, with_others) for fit in one.candidate.fits]
 
@@ -247,7 +249,7 @@ def _eliminate_backward(null_model: NullModel, found: list[SelectedCause], level
 
 
 def _refine_again(null_model: NullModel, kept: Sequence[SelectedCause]) -> list[SelectedCause]:
-    """Return the remaining causes, scored and refined next to each other: the dropped ones had explained a part of them."""
+    """Return the remaining causes, scored and refined again: the dropped ones had explained a part of them."""
     found = list(kept)
     for k, one in enumerate(found):
         with_others, fits = _rescore_with_others(null_model, found, one)
@@ -256,10 +258,11 @@ def _refine_again(null_model: NullModel, kept: Sequence[SelectedCause]) -> list[
 
 
 def _reject_lack_of_fit(null_model: NullModel, found: list[SelectedCause], draws: np.ndarray) -> list[SelectedCause]:
-    """Drop what only mimics a law or a structure without a name: where smooth functions of some variables explain far more.
+    """Drop causes that only mimic another law or a structure: smooth functions of some variables explain far more.
 
     A true cause leaves no structure, so no structure in its place explains much more than it does. Smooth functions that
-    beat a cause by far more than their freedom are a force that this cause resembles, and it would be a wrong name.
+    explain more than a cause by far more than their degrees of freedom represent another force, which the cause only resembles:
+    its name would be wrong.
     """
     kept = []
     for one in found:
@@ -276,7 +279,7 @@ def _reject_lack_of_fit(null_model: NullModel, found: list[SelectedCause], draws
 def _is_beaten(fit: GroupTest, structure: Structure) -> bool:
     own = compute_penalised_statistic(
         [fit], 1.0
-    )  # as a structure's: which explains more is no matter of either's scatter over time
+    )  # as for a structure: the comparison must not depend on the scatter of either over time
     if structure.penalised_statistic <= own + MIMIC_MARGIN:
         return False
     steadier = (
@@ -287,6 +290,6 @@ def _is_beaten(fit: GroupTest, structure: Structure) -> bool:
 
 
 def _is_outshone(fit: GroupTest, null_model: NullModel) -> bool:
-    """Tell whether a law without a name, as free as this one, is more likely."""
+    """Return whether an unnamed law with the same degrees of freedom is more likely."""
     others = [rescore_group(replace(fit, effect=effect), null_model) for effect in fit.effect.lookalikes()]
     return any((other.statistic - fit.statistic) / fit.overdispersion > MIN_2LOGL_DIFFERENCE for other in others)

@@ -1,4 +1,4 @@
-"""The unexplained: structure without a name, confirmed like a cause, and the test of each residual against its noise.
+"""Unexplained structure, confirmed like a cause, and the test of each residual against its noise.
 
 A structure that the training data show has to be present in the validation data and to predict the test data better.
 
@@ -62,10 +62,10 @@ class StructureTest:
 
 
 def find_unexplained(measurements: Measurements, rng: np.random.Generator) -> tuple[Unexplained, ...]:
-    """Return the structure in measurements that no cause is tried for, and the outputs not consistent with their noise.
+    """Return the structure in measurements for which no cause is tried, and the outputs that are not consistent with their noise.
 
     Args:
-        measurements: Residuals of a model, with the columns that its fit may move.
+        measurements: Residuals of a model, with the columns that its fit may change.
         rng: For noise draws.
     """
     noise = fit_noise_models(measurements, (TRAIN,))
@@ -78,15 +78,15 @@ def find_unexplained(measurements: Measurements, rng: np.random.Generator) -> tu
 def add_inconsistent(
     found: Sequence[Unexplained], tests: Sequence[NoiseConsistency], measurements: Measurements
 ) -> tuple[Unexplained, ...]:
-    """Return structures and, of all other outputs, those with a residual above the noise."""
+    """Return structures and all other outputs with a residual above the noise."""
     known = {u.joint for u in found if u.status == "confirmed"}
     return (*found, *(u for u in list_inconsistent(tests, measurements) if u.joint not in known))
 
 
 def discriminate_structures(null_model: WhiteResidual, others: Columns, structure: Structure) -> StructureTest:
-    """Return the set of variables, of those that explain as much on the training data, that the validation data prefer.
+    """Return the set of variables that the validation data prefer among those that explain as much on the training data.
 
-    The p-value counts all sets that are tried.
+    The p-value is corrected for all sets that are tried.
 
     Args:
         null_model: The training data with the causes found in the model.
@@ -108,7 +108,7 @@ def discriminate_structures(null_model: WhiteResidual, others: Columns, structur
 def confirm_structure(null_model: WhiteResidual, others: Columns, structure: Structure) -> Confirmation:
     """Test a structure on the validation data, with all causes found in the model.
 
-    A drift in time is another one in another log; there it only has to be present, not to be the same.
+    A drift in time differs between logs; in another log it only has to be present, not to be the same.
     """
     if _differs_between_logs(null_model.measurements, structure):
         return detect_columns(null_model, structure.columns, others)
@@ -116,7 +116,7 @@ def confirm_structure(null_model: WhiteResidual, others: Columns, structure: Str
 
 
 def detect_columns(null_model: WhiteResidual, columns: Sequence[np.ndarray], others: Columns) -> Confirmation:
-    """Test whether columns explain a part of the validation data, with amplitudes of their own there."""
+    """Test whether columns explain a part of the validation data, with separate amplitudes there."""
     null_model = WhiteResidual.of_columns(null_model.measurements, (VALIDATION,), null_model.noise, others)
     C = null_model.whiten_columns(columns)
     T, _, _ = compute_score_test(null_model, C, np.zeros(C.shape[1], bool), MIN_LEFT_SHARE)
@@ -124,7 +124,7 @@ def detect_columns(null_model: WhiteResidual, columns: Sequence[np.ndarray], oth
 
 
 def _differs_between_logs(measurements: Measurements, structure: Structure) -> bool:
-    """Return whether a structure drifts in time, and the validation data are in logs of their own."""
+    """Return whether a structure drifts in time, and the validation data are in separate logs."""
     shared = any(np.any(part == TRAIN) and np.any(part == VALIDATION) for part in measurements.parts)
     return "t" in structure.variables and not shared
 
@@ -145,7 +145,7 @@ def build_unexplained(
 def _gains(null_model: WhiteResidual, others: Columns, structure: Structure) -> bool:
     """Return whether the test data are predicted better, with the 95 % interval above zero, as with a cause.
 
-    Of another log's drift, it has to show the dependence that the validation data of that log show.
+    For a drift of another log, the test data have to show the dependence that the validation data of that log show.
     """
     known = VALIDATION if _differs_between_logs(null_model.measurements, structure) else TRAIN
     shown = confirm_columns(null_model, [structure.columns], others, (TEST,), fitted_on=(known,))
@@ -184,7 +184,7 @@ def assess_noise_consistency(
     Args:
         null_models: The training and the held-out data with the confirmed effects in the model, under one noise model.
         effects: The confirmed effects.
-        noise: Encoder noise alone, of forces; None for other measurements.
+        noise: Forces due to encoder noise alone; None for other measurements.
     """
     found = []
     outputs = null_models[0].measurements.outputs

@@ -1,8 +1,8 @@
-"""The unknown unknown: structure in the residual that no named cause explains.
+"""Structure in the residual that no named cause explains.
 
 The residual of each output is tried against smooth functions (Legendre, degree 4) of every variable, products (degree 2 by 2)
-of every pair, and both times the direction of motion, in the same white rows and against the same noise draws as the causes. What
-survives is confirmed like a cause. A formula is the single product of simple terms that explains nearly as much.
+of every pair, and both times the direction of motion, in the same white rows and against the same noise draws as the causes.
+Significant structures are confirmed like causes. A formula is the single product of simple terms that explains nearly as much.
 """
 
 from __future__ import annotations
@@ -53,13 +53,13 @@ class Dependence(NamedTuple):
 
     @property
     def variables(self) -> tuple[str, ...]:
-        """All that it depends on; on a direction of motion as on the speed whose sign it is."""
+        """All variables that it depends on; for a direction of motion, the speed whose sign it is."""
         speed = f"v_{self.turns}"
         return self.names if not self.turns or speed in self.names else (*self.names, speed)
 
     @property
     def further(self) -> int:
-        """Number of things it depends on beyond one variable and the output's own direction."""
+        """Number of variables it depends on beyond one variable and the output's own direction."""
         return len(self.names) - 1 + (self.turns not in ("", self.output))
 
     def bases(self, values: Sequence[Values]) -> list[np.ndarray]:
@@ -98,7 +98,7 @@ class Dependence(NamedTuple):
 
 
 def list_dependences(values: Sequence[Values], output: str) -> list[Dependence]:
-    """Return the hypotheses of an output: each variable with every joint's direction or none, each pair with its own.
+    """Return the hypotheses of an output: each variable without direction or with each joint's, each pair with its own.
 
     Predicted forces of other joints are tried alone; the output's own force is tried in pairs with its own variables as well.
     """
@@ -112,27 +112,27 @@ def list_dependences(values: Sequence[Values], output: str) -> list[Dependence]:
 
 
 def _is_force_pair_own(pair: tuple[str, str], output: str) -> bool:
-    """Return whether a pair holds no predicted force, or only variables of the output itself."""
+    """Return whether a pair contains no predicted force, or only variables of the output itself."""
     forces = any(name.startswith("tau_") for name in pair)
     return not forces or all(name.split("_", 1)[-1] == output for name in pair)
 
 
 MIN_2LOGL_DIFFERENCE = 8.0
-"""Difference of merit (twice the log-likelihood) below which two causes, or two sets of variables, are not distinguished: odds of
-50 to 1."""
+"""Difference of penalised statistics (twice the log-likelihood) below which two causes, or two sets of variables, are not
+distinguished: odds of 50 to 1."""
 _MAX_INDISTINGUISHABLE = 6  # structures that a result names; more do not help
 _PAIR_PRICE = 4.0
 """Statistic that a second variable, or another joint's direction, has to add (twice the log-likelihood), beyond the cost of its
 columns."""
 _CHUNK = 16  # sets of variables tried at once; bounds memory
 MIN_LEFT_SHARE = 0.01
-"""Part of a function that the baseline must leave: the functions are not filtered as the baseline's columns are."""
+"""Least share of a function that the baseline must leave: the functions are not filtered as the baseline's columns are."""
 _SIMPLE = 0.85
 """Share of the structure that one term must explain to be suggested as its formula."""
 
 
 class _StructureCandidate(NamedTuple):
-    """What smooth functions of some variables explain of an output's residual."""
+    """Statistic of smooth functions of some variables on an output's residual."""
 
     penalised_statistic: float
     on: Dependence
@@ -148,10 +148,10 @@ class Structure:
         on: The output, the variables, and whose direction of motion it follows.
         statistic: Its score statistic, in units of the noise.
         dof: Number of its columns.
-        p_value: Chance on clean data, all sets tried taken into account.
-        n_effective_tests: Number of independent tries that the search over sets amounts to.
-        penalised_statistic: The statistic less the cost of its columns, not divided by the scatter of blocks as `T` is.
-        share: Its part of the output's residual variance.
+        p_value: p-value on clean data, corrected for all sets tried.
+        n_effective_tests: Effective number of independent tests in the search over sets.
+        penalised_statistic: The statistic minus the cost of its columns, not divided by the scatter of blocks as `T` is.
+        share: Its share of the output's residual variance.
         columns: Its columns (n, m, k) of each run.
         formula: A simple expression, or empty.
         alike: Other sets of variables that explain as much, best first.
@@ -180,7 +180,7 @@ class Structure:
 
 
 def find_structure(null_model: WhiteResidual, draws: np.ndarray, level: float) -> Structure | None:
-    """Return the strongest dependence that noise does not explain at this family-wise level, or None."""
+    """Return the strongest significant dependence at this family-wise level, or None."""
     shapes, tries = _tried(null_model, draws)
     if not shapes:
         return None
@@ -196,7 +196,7 @@ def find_structure(null_model: WhiteResidual, draws: np.ndarray, level: float) -
 
 
 def list_indistinguishable(null_model: WhiteResidual, structure: Structure) -> list[Structure]:
-    """Return the structures that a structure was not distinguished from on the training data."""
+    """Return the structures that are indistinguishable from a structure on the training data."""
     return [_structure(null_model, shape, structure.n_effective_tests, ()) for shape in structure.alike]
 
 
@@ -224,13 +224,13 @@ def _structure(
 
 
 def _chance(shape: _StructureCandidate, tries: float, inflation: float) -> float:
-    """Return the chance that noise alone explains as much, all sets tried taken into account."""
+    """Return the p-value under noise alone, corrected for all sets tried."""
     tail = min(float(stats.chi2.sf(shape.statistic / inflation, shape.dof)), 1 - 1e-16)
     return float(-np.expm1(tries * np.log1p(-tail)))
 
 
 def _tried(null_model: WhiteResidual, draws: np.ndarray) -> tuple[list[_StructureCandidate], float]:
-    """Return all sets of variables, the largest merit first, and how many independent tries the search over them amounts to."""
+    """Return all sets of variables, the largest penalised statistic first, and the effective number of independent tests."""
     values = null_model.measurements.variables()
     joined = JoinedVariables(values)
     found: list[_StructureCandidate] = []
@@ -291,7 +291,7 @@ def _inflation(null_model: WhiteResidual, on: Dependence) -> float:
 
 
 def _formula(null_model: WhiteResidual, shape: _StructureCandidate) -> str:
-    """Return the one product of simple terms that explains nearly all, or an empty text."""
+    """Return the single product of simple terms that explains nearly all, or an empty text."""
     k = null_model.measurements.outputs.index(shape.on.output)
     rows = np.flatnonzero(null_model.whiten.index == k)
     best, text = _SIMPLE * shape.statistic, ""

@@ -1,8 +1,8 @@
-"""Tests of everything that the training data show on the validation data, or within the training logs.
+"""Tests of all causes and structures found, on the validation data or within the training logs.
 
-Held-out logs may move in a way that does not show a cause at all; this is no evidence against it. Then a quarter of the blocks
-of the training logs is held out, the selection is repeated on the rest, and a cause that it selects again, at the same
-family-wise level, must be present in these blocks in the predicted size. On clean data that is as rare as the first procedure.
+The motion of held-out logs may not excite a cause at all; this is no evidence against it. Then a quarter of the blocks of the
+training logs is held out, the selection is repeated on the rest, and a cause that it selects again, at the same family-wise
+level, must be present in these blocks in the predicted size. On clean data its false-alarm rate is that of the first procedure.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from tau_dyn.evidence.unknown_structure import Structure, find_structure
 
 @dataclass(frozen=True)
 class ConfirmationResults:
-    """Tests of each cause found, and of the structure without a name, on held-out data."""
+    """Tests of each cause found, and of unexplained structure, on held-out data."""
 
     causes: tuple[Confirmation, ...]
     structure: StructureTest | None
 
 
 def confirm_cause(selection: StepwiseSelection, one: SelectedCause) -> Confirmation:
-    """Test one cause on the validation data, the others accounted for."""
+    """Test one cause on the validation data, with the others in the model."""
     return confirm(selection.null_model, selection.columns(one.candidate.effects), selection.others(one))
 
 
@@ -52,7 +52,7 @@ def drop_unconfirmed_joints(selection: StepwiseSelection, one: SelectedCause) ->
 
 
 def confirm_all(selection: StepwiseSelection, structure: Structure | None) -> ConfirmationResults:
-    """Test everything found on the validation data."""
+    """Test all causes and structures found on the validation data."""
     causes = tuple(confirm_cause(selection, one) for one in selection.found)
     return ConfirmationResults(
         causes, structure and discriminate_structures(selection.null_model, selection.known_columns, structure)
@@ -66,14 +66,14 @@ def confirm_within_training(
     rng: np.random.Generator,
     noise: NoiseOnlyBootstrap,
 ) -> ConfirmationResults:
-    """Return the tests, those on which the validation data have too little power are repeated within the training logs.
+    """Return the tests; those for which the validation data have too little power are repeated within the training logs.
 
     Args:
         selection: The search on all of the training data.
         tests: The tests on the validation data.
         gap_s: Memory of the filters, left out next to a block's border [s].
         rng: For noise draws.
-        noise: What encoder noise alone makes.
+        noise: Measurements due to encoder noise alone.
     """
     every = [*tests.causes, *([tests.structure.test] if tests.structure else [])]
     channel = selection.channel
@@ -96,7 +96,7 @@ def confirm_within_training(
 
 
 def _confirm_again(before: Confirmation, again: StepwiseSelection, one: SelectedCause) -> Confirmation:
-    """Return the test of the same cause, found again on one of its joints, where it confirms; else the one from before."""
+    """Return the test of the same cause, found again on one of its joints, if it confirms; otherwise the previous one."""
     joints = {joint for effect in one.candidate.effects for joint in effect.joints}
     for other in again.found:
         shared = any(joints & set(effect.joints) for effect in other.candidate.effects)

@@ -1,4 +1,4 @@
-"""What a result shows, whatever it is of and whoever draws it: the result protocol."""
+"""The result protocol: the contents of any result, independent of its kind and of the renderer."""
 
 from lazy_loader import attach_stub
 

@@ -1,6 +1,6 @@
-"""Figures as data: axes, marks on them, strips of a time view. Who draws them, and how, is the renderer's.
+"""Figures as data: axes, marks on them, strips of a time view. Renderers draw them.
 
-Coordinates are data, [unit] as the axis says; an `ink` names a colour and a thickness of the style sheet.
+Coordinates are data in the [unit] of the axis; an `ink` names a colour and a thickness of the style sheet.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 THIRD, HALF, WHOLE = 344, 520, 1060
-"""Widths of drawings that stand three or two in a row of a card, or alone [px]."""
+"""Widths of drawings, three, two or one in a row of a card [px]."""
 SMALL = (THIRD, 240)
-"""Width and height of a drawing of which several stand in a row [px]."""
+"""Width and height of a drawing in a row of several [px]."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Drawing:
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """A line through points (n,), broken where a y is NaN."""
+    """A line through points (n,), interrupted where y is NaN."""
 
     x: np.ndarray
     y: np.ndarray
@@ -91,7 +91,7 @@ class Ring:
 
 @dataclass(frozen=True)
 class Label:
-    """Words at a place; `anchor` is `start`, `middle` or `end`."""
+    """Text at a point; `anchor` is `start`, `middle` or `end`."""
 
     x: float
     y: float
@@ -102,7 +102,7 @@ class Label:
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Cells of an even grid, u (nu,) and v (nv,), in the inks of their classes; `of` (nu, nv) is a class, negative for none."""
+    """Cells of an even grid, u (nu,) and v (nv,), in the inks of their classes `of` (nu, nv); a negative class is not drawn."""
 
     u: np.ndarray
     v: np.ndarray
@@ -139,10 +139,10 @@ class Figure(Drawing):
     Attributes:
         x: The horizontal axis.
         y: The vertical axis.
-        marks: What is drawn, first below.
-        title: What it shows, in a corner; also read out by screen readers.
+        marks: The marks, the first one at the bottom.
+        title: Description of the contents, in a corner; also read out by screen readers.
         size: Width and height [px at 100 %].
-        unit: Of the values of `Levels`, above their scale.
+        unit: Unit of the values of `Levels`, above their scale.
         style: Further style of the drawing, such as `vectors`.
     """
 
@@ -173,12 +173,12 @@ class RobotPicture(Drawing):
 
 @dataclass(frozen=True, eq=False)
 class SwingPicture(Drawing):
-    """A mode's shape on a robot: at rest, and swung out to and fro.
+    """A mode's shape on a robot: at rest, and deflected in both directions.
 
     Attributes:
         skeleton: The robot as lines: `modes.Skeleton`.
-        swing: What moves and how far: `modes.ModeShape`.
-        who: Whose mode it is.
+        swing: The displacements: `modes.ModeShape`.
+        who: The owner of the mode.
     """
 
     skeleton: Any
@@ -195,7 +195,7 @@ class ShapePicture(Drawing):
 
 
 def find_space_axes(outputs: Sequence[str]) -> dict[str, int]:
-    """Return which output is which axis of one point: `x_tool y_tool`, `ax_tool ay_tool az_tool`; empty where they are not."""
+    """Return the axes of one point that outputs measure: `x_tool y_tool`, `ax_tool ay_tool az_tool`; empty if they are not."""
     found: dict[str, dict[str, int]] = {}
     for k, name in enumerate(outputs):
         match = re.fullmatch(r"([av]?)([xyz])(?:_(\w+))?", name)
@@ -207,7 +207,7 @@ def find_space_axes(outputs: Sequence[str]) -> dict[str, int]:
 
 @dataclass(frozen=True, eq=False)
 class VectorPicture(Drawing):
-    """Vectors (n, 3) at places (n, 3) [m] in space, drawn so many times their size."""
+    """Vectors (n, 3) at places (n, 3) [m] in space, drawn enlarged by a factor."""
 
     places: np.ndarray
     vectors: np.ndarray
@@ -235,9 +235,9 @@ class Curve:
     """One line of a time view.
 
     Attributes:
-        name: What it is, for the readout.
+        name: Name of the line, for the readout.
         ink: Its colour's name: `measured`, `predicted` or `residual`.
-        values: Its values (n,), NaN where there are none.
+        values: Its values (n,), NaN where missing.
     """
 
     name: str
@@ -251,11 +251,11 @@ class Strip:
 
     Attributes:
         label: Quantity and unit.
-        curves: What is drawn, first below.
+        curves: The curves, the first one at the bottom.
         limits: Range of the axis.
         height: Height on the screen [px].
         masked: Whether unused stretches are shaded here.
-        bounds: Limits of the robot, drawn across where they are near.
+        bounds: Limits of the robot, drawn if they are near.
     """
 
     label: str
@@ -276,8 +276,8 @@ class View:
         t: Even times (n,) [s].
         strips: The strips, top down.
         held_out: Whether all of it is held-out data.
-        bands: Stretches [s] to shade for what they served, and the shade's name: `held` or `confirm`.
-        usable: Samples that are used (n,); the others are shaded where a strip wants that. None for all.
+        bands: Stretches [s] to shade by their use, and the shade's name: `held` or `confirm`.
+        usable: Samples that are used (n,); strips with `masked` shade the others. None for all.
     """
 
     log: str
@@ -292,7 +292,7 @@ class View:
 def build_strip(
     label: str, height: int, *curves: Curve, masked: bool = False, bounds: Sequence[float] = (), symmetric: bool = False
 ) -> Strip:
-    """Return a strip whose axis holds all curves, and the bounds that are not far outside."""
+    """Return a strip whose axis contains all curves, and the bounds that are not far outside."""
     low, high = pad_limits(*(c.values for c in curves))
     if symmetric:
         low, high = -max(-low, high), max(-low, high)
@@ -304,7 +304,7 @@ def build_strip(
 
 
 def pad_limits(*arrays: np.ndarray, share: float = 0.06) -> tuple[float, float]:
-    """Return limits that hold all values with some air."""
+    """Return limits that contain all values with a margin."""
     values = np.concatenate([np.ravel(a) for a in arrays])
     values = values[np.isfinite(values)]
     low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)

@@ -1,8 +1,8 @@
-"""Numbers in words: with their uncertainty, in the unit a person would use (20.9 mm rather than 0.0209 m), and lists.
+"""Numbers as text: with their uncertainty, in a readable unit (20.9 mm rather than 0.0209 m), and lists.
 
 `±` is a standard error (`95.14 ± 0.20 kg`); minus signs are true ones. Results and files stay in SI.
 
-Any result as plain data for JSON: dataclasses, arrays, numbers that are none, names, paths.
+Any result as plain data for JSON: dataclasses, arrays, missing numbers, names, paths.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from typing import Any, Protocol
 
 Z95 = 1.959964  # two-sided 95 % point of the normal distribution
 _MAX_STDERR = 1e300
-"""A standard error beyond this has no decimals that a float could say."""
+"""A standard error beyond this has no decimals that a float can represent."""
 PREFIXED = ("m", "m/s", "rad", "rad/s", "s")
-"""Units that take a prefix where the number is small."""
+"""Units that get a prefix if the number is small."""
 
 
 class Estimated(Protocol):
-    """A number with its unit and, where it was estimated, its standard error: a `Parameter`."""
+    """A number with its unit and, if estimated, its standard error: a `Parameter`."""
 
     @property
     def value(self) -> float:
@@ -32,7 +32,7 @@ class Estimated(Protocol):
 
     @property
     def stderr(self) -> float | None:
-        """Its standard error [unit]; None for none."""
+        """Its standard error [unit], or None."""
         ...
 
     @property
@@ -42,18 +42,18 @@ class Estimated(Protocol):
 
 
 def format_number(value: float, digits: int = 4) -> str:
-    """Return a number with so many significant digits and a true minus sign."""
+    """Return a number with a given number of significant digits and a true minus sign."""
     text = f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:.0f}"
     return replace_minus_signs(text if not _tiny_or_huge(value) else f"{value:.{digits - 1}e}")
 
 
 def format_limit(limit: float, digits: int = 3) -> str:
-    """Return a limit as a number; `none` where there is none."""
+    """Return a limit as a number, or as `none`."""
     return format_number(limit, digits) if isfinite(limit) else "none"
 
 
 def format_fixed_digits(value: float) -> str:
-    """Return a number with three significant digits, zeros at its end kept, so that a column reads evenly."""
+    """Return a number with three significant digits, including trailing zeros, so that columns align."""
     return (
         format_number(value, 3)
         if _tiny_or_huge(value) or not value
@@ -71,7 +71,7 @@ def format_percent(value: float, digits: int = 2) -> str:
 
 
 def choose_decimals(stderr: float) -> int:
-    """Return how many decimals show two significant digits of an uncertainty; negative above 100."""
+    """Return the number of decimals for two significant digits of an uncertainty; negative above 100."""
     if not 0 < stderr < _MAX_STDERR:
         return 3
     decimals = 1 - floor(log10(stderr))
@@ -79,7 +79,7 @@ def choose_decimals(stderr: float) -> int:
 
 
 def round_to_stderr(value: float, stderr: float) -> str:
-    """Return a value to the digits that its uncertainty leaves."""
+    """Return a value with the digits that its uncertainty supports."""
     decimals = choose_decimals(stderr)
     if decimals > 7 or _tiny_or_huge(max(abs(value), stderr)):
         return format_number(value)
@@ -109,7 +109,7 @@ def format_expression(text: str) -> str:
 
 
 def format_list(items: Iterable[str], most: int = 6) -> str:
-    """Return `a, b and c`, or the first few and how many more."""
+    """Return `a, b and c`, or the first few and the number of the others."""
     items = list(items)
     if len(items) > most:
         return f"{', '.join(items[:most])} and {len(items) - most} more"
@@ -122,7 +122,7 @@ def count(n: int, noun: str) -> str:
 
 
 def format_thousands(n: int) -> str:
-    """Return a whole number with its thousands apart."""
+    """Return a whole number with thousands separators."""
     return f"{n:,}".replace(",", " ")
 
 
@@ -136,14 +136,14 @@ def replace_minus_signs(text: str) -> str:
 
 
 def choose_unit(unit: str, size: float) -> tuple[float, str]:
-    """Return the factor and the unit in which a quantity of this size [unit] reads best."""
+    """Return the factor and the unit for a readable quantity of this size [unit]."""
     if unit in PREFIXED and 0 < abs(size) < 0.1:
         return (1e3, f"m{unit}") if abs(size) >= 1e-4 else (1e6, f"µ{unit}")
     return 1.0, "" if unit == "1" else format_unit(unit)
 
 
 def format_quantity(value: float, unit: str, digits: int = 3, *, steadily: bool = False) -> str:
-    """Return a value with its unit, such as `43 µm`; steadily, it keeps the zeros at its end."""
+    """Return a value with its unit, such as `43 µm`; if `steadily`, with trailing zeros."""
     factor, shown = choose_unit(unit, value)
     return (
         f"{format_fixed_digits(factor * value) if steadily else format_number(factor * value, digits)} {shown}".strip()
@@ -158,7 +158,7 @@ def format_estimate(p: Estimated) -> str:
 
 
 def format_estimate_interval(p: Estimated) -> str:
-    """Return a parameter's 95 % interval in the unit of `format_estimate`; empty where it has none."""
+    """Return a parameter's 95 % interval in the unit of `format_estimate`; empty if it has no interval."""
     if p.stderr is None or not p.stderr > 0:
         return ""
     factor, _ = choose_unit(p.unit, p.value)
@@ -166,22 +166,22 @@ def format_estimate_interval(p: Estimated) -> str:
 
 
 def format_interval(ends: Iterable[float], stderr: float) -> str:
-    """Return an interval's ends to the digits that the standard error leaves."""
+    """Return an interval's ends with the digits that the standard error supports."""
     return " … ".join(round_to_stderr(end, stderr) for end in ends)
 
 
 def end_sentence(text: str) -> str:
-    """Return a text that ends in a full stop; nothing stays nothing."""
+    """Return a text that ends in a full stop; an empty text stays empty."""
     return text if not text or text.endswith((".", "!", "?")) else f"{text}."
 
 
 def capitalise(text: str) -> str:
-    """Return a text with a capital in front where it begins with a word and not a name, such as a file's or a channel's."""
+    """Return a text with a capital first letter if it begins with a word, not a name such as a file's or a channel's."""
     return text[:1].upper() + text[1:] if text.split(" ", 1)[0].rstrip(",:;").isalpha() else text
 
 
 def replace_plus_minus(text: str) -> str:
-    """Return a sentence of a result with the sign that a person would write."""
+    """Return a sentence of a result with `±` for `+-`."""
     return text.replace("+-", "±")
 
 
@@ -189,15 +189,15 @@ def to_plain(value: Any, *, leave_out: Iterable[str] = ()) -> Any:
     """Return a value as dicts, lists, strings, numbers and None.
 
     A dataclass or a named tuple becomes a dict of its fields, an array nested lists, NaN and infinity None, a complex number
-    `re` and `im`, an enum its value, a path and a date their text, a set a sorted list. A value with a `to_dict` of its own says
-    itself what it is.
+    `re` and `im`, an enum its value, a path and a date their text, a set a sorted list. A value with its own `to_dict` is
+    converted by that method.
 
     Args:
-        value: What to turn into data.
-        leave_out: Fields of the outermost dataclass that are not told.
+        value: The value to convert.
+        leave_out: Fields of the outermost dataclass that are left out.
 
     Raises:
-        TypeError: It holds something that is no data, such as a function.
+        TypeError: It contains an object that is not data, such as a function.
     """
     if is_dataclass(value) and not isinstance(value, type):
         hidden = set(leave_out)

@@ -20,11 +20,11 @@ class PlottedSegment(NamedTuple):
     """Curves over one stretch of time.
 
     Attributes:
-        name: The log that it is of.
+        name: Name of its log.
         t: Time (n,) [s].
         measured: Measured values (n, m).
-        predicted: Predicted values (n, m) by what predicted them.
-        used: Samples that count (n, m).
+        predicted: Predicted values (n, m) by name of the predictor.
+        used: Samples that are used (n, m).
     """
 
     name: str
@@ -35,7 +35,7 @@ class PlottedSegment(NamedTuple):
 
 
 def _make_axes(rows: int) -> tuple[Figure, Any]:
-    """Return a figure with axes (rows,) above each other.
+    """Return a figure with a column of axes (rows,).
 
     Raises:
         InputError: Matplotlib is not installed.
@@ -49,17 +49,17 @@ def _make_axes(rows: int) -> tuple[Figure, Any]:
 
 
 def plot_outputs(stretches: Sequence[PlottedSegment], outputs: Sequence[str], units: Sequence[str]) -> Figure:
-    """Return a figure with one row an output: measured, predicted, and the residual of the last prediction.
+    """Return a figure with one row per output: measured, predicted, and the residual of the last prediction.
 
-    Samples that do not count are left out of the residual. Stretches follow each other with a gap.
+    Unused samples are left out of the residual. Stretches follow each other with a gap.
 
     Args:
-        stretches: What is drawn, in this order.
+        stretches: The stretches to draw, in this order.
         outputs: Names of the outputs (m).
         units: Their units (m).
 
     Raises:
-        InputError: Matplotlib is not installed, or there is nothing to draw.
+        InputError: Matplotlib is not installed, or there are no data to draw.
     """
     if not stretches:
         raise InputError("unsupported", "no samples are kept in memory, so that nothing can be drawn")
@@ -88,9 +88,9 @@ class PlottedResponse(NamedTuple):
     """A frequency response.
 
     Attributes:
-        name: What it is.
+        name: Its name in the legend.
         frequency: (F,) [Hz].
-        value: From inputs to outputs (F, p, m), complex; nan where unknown.
+        value: Response from inputs to outputs (F, p, m), complex; nan where unknown.
     """
 
     name: str
@@ -101,10 +101,10 @@ class PlottedResponse(NamedTuple):
 def plot_responses(
     responses: Sequence[PlottedResponse], outputs: Sequence[str], inputs: Sequence[str], modes_hz: Sequence[float]
 ) -> Figure:
-    """Return a figure with one row an output: magnitudes of responses from each input, and the frequencies of modes.
+    """Return a figure with one row per output: magnitudes of responses from each input, and the frequencies of modes.
 
     Args:
-        responses: What is drawn; the first one as points.
+        responses: The responses to draw; the first one as points.
         outputs: Names of the outputs (p).
         inputs: Names of the inputs (m).
         modes_hz: Frequencies of modes [Hz].
@@ -131,7 +131,7 @@ def plot_responses(
 
 
 def plot_stability(hz: np.ndarray, order: np.ndarray, is_stable: np.ndarray, modes_hz: Sequence[float]) -> Figure:
-    """Return the stabilisation diagram: modes of models of all orders, and those that were chosen.
+    """Return the stabilisation diagram: modes of models of all orders, and the chosen modes.
 
     Args:
         hz: Frequencies (P,) [Hz].

@@ -1,7 +1,7 @@
-"""The result protocol: headline, verdict, sections of tables, figures and sentences, warnings, where it came from, data.
+"""The result protocol: headline, verdict, sections of tables, figures and sentences, warnings, provenance, data.
 
-A result is presented once, as a `Presentation`; terminal, page, notebook and JSON render that. A block says on which of them it
-stands (`On`). Sections are made when a renderer asks for them, so that a terminal does not pay for a page's figures.
+A result is presented once, as a `Presentation`; terminal, page, notebook and JSON render that. A block lists the media on which
+it appears (`On`). Sections are made when a renderer requests them, so that a terminal does not compute a page's figures.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Level = Literal["good", "care", "poor"]
 
 
 class On(Flag):
-    """Where a block or a column stands."""
+    """Media on which a block or a column appears."""
 
     PAGE = auto()
     TERMINAL = auto()
@@ -29,7 +29,7 @@ class On(Flag):
 
 
 class Verdict(NamedTuple):
-    """How far a result may be used: in a colour, in one sentence, and in a word or three."""
+    """Usability of a result: as a colour, one sentence, and a badge of one to three words."""
 
     level: Level
     sentence: str
@@ -42,14 +42,14 @@ def judge(level: Level, sentence: str, badges: Mapping[str, str]) -> Verdict:
 
 
 class Key(NamedTuple):
-    """What a colour or a mark of a figure means."""
+    """Meaning of a colour or a mark of a figure."""
 
     ink: str
     words: str
 
 
 def build_key(**meanings: str) -> list[Key]:
-    """Return what inks mean, by their names."""
+    """Return the meanings of inks, by their names."""
     return [Key(ink, words) for ink, words in meanings.items()]
 
 
@@ -58,8 +58,8 @@ class Bar:
     """A bar from 0 to 1, or a stretch of one.
 
     Attributes:
-        share: Where it ends.
-        start: Where it begins.
+        share: Its end.
+        start: Its start.
         tick: A mark on it, such as the training error under the held-out one.
         ink: Its colour's name; empty for the usual one.
     """
@@ -75,11 +75,11 @@ class StepBar:
     """A step of a waterfall, all lengths as shares of the axis.
 
     Attributes:
-        share: What it leaves.
+        share: The remaining error.
         low: Lower end of the 95 % interval.
         high: Upper end.
-        previous: What the step before leaves; NaN for none.
-        floor: Where the noise floor lies; NaN for none.
+        previous: The remaining error of the previous step; NaN for the first one.
+        floor: The noise floor; NaN if unknown.
         kind: `start`, `cause` or `floor`.
     """
 
@@ -98,9 +98,9 @@ class IntervalBar:
     Attributes:
         low: Lower end of the interval, cut at -1.
         high: Upper end, cut at 1.
-        at: The estimate; None where it lies off the scale.
-        trust: Half-width of what the reference is trusted to; 0 for none.
-        state: `weak` for one that is drawn pale.
+        at: The estimate; None if it is off the scale.
+        trust: Half-width of the reference's own interval; 0 if it has no interval.
+        state: `weak` for a pale one.
         anchored: Whether the reference is marked.
     """
 
@@ -113,7 +113,7 @@ class IntervalBar:
 
 
 Cell = str | Bar | StepBar | IntervalBar | Verdict | tuple[str, ...] | None
-"""Text, a bar, a badge, pieces of text of which the last are left out where there is no room, or nothing."""
+"""Text, a bar, a badge, pieces of text of which the last are left out if there is no room, or None."""
 
 
 @dataclass(frozen=True)
@@ -121,14 +121,14 @@ class Column:
     """A column of a table.
 
     Attributes:
-        title: Its head.
+        title: Its heading.
         kind: `text`, `number` (to the right, never broken), `bar`, `interval`, `step`, or `unit`.
-        style: How the page sets it off: `strong`, `quiet`, `remark`, `big`, `wide`, `share`.
-        on: Where it stands.
-        spare: Whether a terminal that is too narrow leaves it out, rather than breaking it.
-        kept: Whether it is repeated where a terminal splits a table that is too wide; without any, none is split.
-        scale: What the ends of an interval's bar stand for, such as `20 %`.
-        cell: Gives its cell of a thing; see `tabulate_things`.
+        style: Its style on the page: `strong`, `quiet`, `remark`, `big`, `wide`, `share`.
+        on: Media on which it appears.
+        spare: Whether a terminal that is too narrow leaves it out, instead of breaking it.
+        kept: Whether it is repeated if a terminal splits a table that is too wide; a table without such a column is not split.
+        scale: Value at the ends of an interval's bar, such as `20 %`.
+        cell: Function that returns the cell of a thing; see `tabulate_things`.
     """
 
     title: str = ""
@@ -146,10 +146,10 @@ class Row:
     """A line of a table.
 
     Attributes:
-        cells: One a column.
-        style: How it is set off: `known`, `weak`, `unseen`, `quiet`, `good`, `care`, `poor`, `cause`, `floor`, ...
-        link: Section that the first cell leads to; empty for none.
-        on: Where it stands.
+        cells: One cell per column.
+        style: Its style: `known`, `weak`, `unseen`, `quiet`, `good`, `care`, `poor`, `cause`, `floor`, ...
+        link: Section that the first cell links to; empty without a link.
+        on: Media on which it appears.
     """
 
     cells: Sequence[Cell]
@@ -172,11 +172,11 @@ class ResultTable(Element):
     Attributes:
         columns: Its columns.
         rows: Its rows, without headings between them.
-        groups: Rows under headings of their own.
+        groups: Rows under their own headings.
         style: `plain`, `parameters`, `waterfall`, `findings`, `matrix`, `fitted`, ...
-        caption: What stands above it.
-        most: Rows that a terminal shows at most; 0 for all.
-        rest: What a terminal says of the others, after `and N`.
+        caption: Caption above it.
+        most: Largest number of rows on a terminal; 0 for all.
+        rest: Text of a terminal for the other rows, after `and N`.
     """
 
     columns: Sequence[Column]
@@ -189,7 +189,7 @@ class ResultTable(Element):
 
     @property
     def all_rows(self) -> list[Row]:
-        """Every row, headings left out."""
+        """Every row, without headings."""
         return [*self.rows, *(row for _, rows in self.groups for row in rows)]
 
 
@@ -200,27 +200,27 @@ def tabulate_things(
     link: Callable[[Any], str] = lambda thing: "",
     **about: Any,
 ) -> ResultTable:
-    """Return a table of one row a thing.
+    """Return a table with one row per thing.
 
     Args:
-        things: What it is of.
-        columns: Its columns; each one's `cell` gives its cell of a thing.
-        state: Gives the style of a thing's row.
-        link: Gives the section that a thing's first cell leads to.
-        about: What else a `ResultTable` takes.
+        things: The objects, one per row.
+        columns: Its columns; each one's `cell` returns the cell of a thing.
+        state: Function that returns the style of a thing's row.
+        link: Function that returns the section that a thing's first cell links to.
+        about: Further arguments of `ResultTable`.
     """
     rows = [Row([column.cell(thing) for column in columns], state(thing), link(thing)) for thing in things]
     return ResultTable(columns, rows, **about)
 
 
 def tabulate_plainly(rows: Iterable[Sequence[Cell]], *, style: str = "plain", on: On = On.PAGE) -> ResultTable:
-    """Return rows of equal length without heads."""
+    """Return rows of equal length without column headings."""
     rows = list(rows)
     return ResultTable([Column() for _ in rows[0]] if rows else [], [Row(cells) for cells in rows], style=style, on=on)
 
 
 def list_numbers(*titles: str, on: On = On.ALL) -> list[Column]:
-    """Return columns of numbers with these heads."""
+    """Return columns of numbers with these headings."""
     return [Column(title, "number", on=on) for title in titles]
 
 
@@ -233,13 +233,13 @@ class Text(Element):
 
 
 def explain(text: str, *, on: On = On.PAGE) -> Text:
-    """Return the note that says how to read what stands above it."""
+    """Return the note that explains how to read the block above it."""
     return Text(text, "note", on=on)
 
 
 @dataclass(frozen=True)
 class Listing(Element):
-    """Sentences under a title; a terminal writes a single one behind it. `code` if they are formulas."""
+    """Sentences under a title; a terminal writes a single one after it. `code` if they are formulas."""
 
     items: Sequence[str]
     title: str = ""
@@ -256,20 +256,20 @@ class Facts(Element):
 
 @dataclass(frozen=True)
 class Definitions(Element):
-    """Terms and what there is to say of them."""
+    """Terms and their descriptions."""
 
     rows: Sequence[tuple[str, str]]
 
 
 @dataclass(frozen=True)
 class Figures(Element):
-    """Drawings beside each other.
+    """Drawings next to each other.
 
     Attributes:
-        drawings: What is drawn, with a caption each where there is one.
+        drawings: The drawings, each with an optional caption.
         layout: `charts`, `wide`, `pair`, `row`, `maps`, `columns-1` to `columns-3`, `shapes`.
-        key: What inks mean.
-        captions: A title and a line below each drawing; empty for none.
+        key: Meanings of inks.
+        captions: A title and a line below each drawing; may be empty.
     """
 
     drawings: Sequence[Drawing]
@@ -290,9 +290,9 @@ class TimeView(Element):
     """The zoomable time view.
 
     Attributes:
-        about: What it shows, for screen readers.
+        about: Description of the contents, for screen readers.
         views: Its stretches.
-        key: What inks mean.
+        key: Meanings of inks.
     """
 
     about: str
@@ -311,7 +311,7 @@ class Beside(Element):
 
 @dataclass(frozen=True)
 class Group(Element):
-    """Blocks in a box of their own, such as `multiples`."""
+    """Blocks in a separate box, such as `multiples`."""
 
     blocks: Sequence[Element]
     style: str
@@ -319,7 +319,7 @@ class Group(Element):
 
 @dataclass(frozen=True)
 class Folded(Element):
-    """Blocks that are folded away under a summary."""
+    """Blocks that are folded under a summary."""
 
     summary: str
     blocks: Sequence[Element]
@@ -332,15 +332,15 @@ class Chapter:
 
     Attributes:
         name: Its anchor.
-        title: Its heading; empty for none.
-        make: Gives its blocks, when somebody asks.
-        on: Where it stands, if any of its blocks does.
+        title: Its heading; may be empty.
+        make: Function that returns its blocks, called by renderers.
+        on: Media on which it appears, if any of its blocks does.
         style: `warnings`, `card`, `card unexplained`, `beside`.
-        badge: A word with its level behind the heading.
+        badge: A word with its level after the heading.
         number: A number before it, such as a finding's.
-        folded: Whether it is folded away.
-        open: Whether it is shown all the same, to be folded by hand.
-        when: Whether there is anything to show; without, it is left out.
+        folded: Whether it can be folded.
+        open: Whether it is unfolded at first.
+        when: Whether it has content; otherwise it is left out.
     """
 
     name: str
@@ -355,17 +355,17 @@ class Chapter:
     when: bool = True
 
     def list_blocks(self, on: On) -> list[Element]:
-        """Return the blocks that stand there."""
+        """Return the blocks that appear on a medium."""
         if not (self.when and self.on & on):
             return []
         blocks = (
             self.make() if on is On.PAGE else spread_blocks(self.make())
-        )  # only a page has them side by side or folded
+        )  # only a page shows them in columns or folded
         return [block for block in blocks if block.on & on]
 
 
 def spread_blocks(blocks: Iterable[Element]) -> Iterable[Element]:
-    """Give blocks one after the other, those in boxes of others, too."""
+    """Yield blocks in order, including those in boxes of others."""
     for block in blocks:
         if not isinstance(block, Beside | Folded | Group):
             yield block
@@ -375,12 +375,12 @@ def spread_blocks(blocks: Iterable[Element]) -> Iterable[Element]:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where a result came from.
+    """Provenance of a result.
 
     Attributes:
         facts: Names and texts, such as `seed` and `0`.
-        logs: Use, name and hash of every file that went in.
-        robot: The robot that it is of; None for none.
+        logs: Use, name and hash of every input file.
+        robot: Its robot, or None.
     """
 
     facts: Sequence[tuple[str, str]] = ()
@@ -390,20 +390,20 @@ class Provenance:
 
 @dataclass(frozen=True)
 class Presentation:
-    """All that is shown of a result.
+    """All displayed contents of a result.
 
     Attributes:
-        kind: What it is, in a word or two.
-        about: What it is of.
-        title: Of a window that shows it.
-        headline: The one sentence above everything; empty for none.
-        verdict: How far it may be used; None where nothing is judged.
-        summary: What went in.
+        kind: Kind of result, in a word or two.
+        about: Subject of the result.
+        title: Title of a window that shows it.
+        headline: One sentence above all other contents; may be empty.
+        verdict: Usability of the result; None if it is not judged.
+        summary: Summary of the inputs.
         sections: Its parts.
         warnings: Its warnings.
         picture: The robot, or None.
-        provenance: Where it came from.
-        data: Gives the main table, one row a thing, in SI units: rows by name, or a pandas frame.
+        provenance: Its provenance.
+        data: Function that returns the main table, one row per thing, in SI units: rows by name, or a pandas frame.
         result: The result itself.
         notes: Sentences below a notebook's view, before the warnings.
     """
@@ -423,5 +423,5 @@ class Presentation:
     notes: Sequence[str] = ()
 
     def list_blocks(self, on: On) -> list[Element]:
-        """Return all blocks that stand there, in order."""
+        """Return all blocks that appear on a medium, in order."""
         return [block for section in self.sections for block in section.list_blocks(on)]

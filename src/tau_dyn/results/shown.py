@@ -1,7 +1,7 @@
-"""What a result offers by itself: a few lines as its `repr`, its presentation, its view in a notebook, its table.
+"""Display methods of a result: a few lines as its `repr`, its presentation, its view in a notebook, its table.
 
-The words and figures of a result stand in `render/`, which reads results and therefore stands below every package that makes one.
-A result does not import them: a `Shown` asks `render` by its name, and only when somebody looks.
+The texts and figures of a result are in `render/`, which reads results and therefore depends on every package that makes one. A
+result does not import them: a `Shown` imports `render` by its name when it is displayed.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 
 _RENDER = "tau_dyn.render"
 """Has `present(result)`, `summarise(result)`, `render_notebook(result)` and `tabulate(result)`."""
-_WIDTH = 88  # columns of a `repr`: what fits beside a debugger's or a notebook's margin
+_WIDTH = 88  # columns of a `repr` that fit next to a debugger's or a notebook's margin
 _MAX_LINES = 12  # of a `repr`, so that the prompt stays on the screen
 
 
 class Brief:
-    """A dataclass whose `repr` says what its fields are, and repeats neither arrays nor texts."""
+    """A dataclass whose `repr` describes its fields, without the contents of arrays and long texts."""
 
     __slots__ = ()
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Keep this `repr`: a dataclass writes its own where its class has none in its body."""
+        """Keep this `repr`: a dataclass generates one if its class body does not define it."""
         super().__init_subclass__(**options)
         cls.__repr__ = cls.__repr__
 
@@ -45,7 +45,7 @@ class Brief:
 
 
 def _shorten(value: Any) -> str:
-    """Return a value in a word or two: a number or a short text itself, the shape of an array, how many a collection holds."""
+    """Return a value in a word or two: a number or a short text itself, the shape of an array, the size of a collection."""
     if isinstance(value, np.ndarray):
         return f"array {value.shape}"
     if isinstance(value, bool | int | float | None):
@@ -61,18 +61,18 @@ def _shorten(value: Any) -> str:
 
 
 def _name_things(value: Collection[Any]) -> str:
-    """Return what a collection holds."""
+    """Return a description of a collection's contents."""
     kinds = {type(x).__name__ for x in (value.values() if isinstance(value, Mapping) else value)}
     return kinds.pop() if len(kinds) == 1 else "items"
 
 
 class Shown(Brief):
-    """A result that says what it is, can be presented, shows itself in a notebook and hands out its table."""
+    """A result that describes itself, can be presented, displays itself in a notebook and returns its table."""
 
     __slots__ = ()
 
     def __repr__(self) -> str:
-        """Return a few lines: what it is of, what went in, the headline, how far to trust it."""
+        """Return a few lines: the subject, the inputs, the headline, the verdict."""
         return import_module(_RENDER).summarise(self)
 
     def present(self, **options: Any) -> Presentation:
@@ -84,5 +84,5 @@ class Shown(Brief):
         return import_module(_RENDER).render_notebook(self)
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return the result's main table, one row a thing, in SI units, units in a column of their own where they differ."""
+        """Return the result's main table, one row per thing, in SI units, with a column of units if they differ."""
         return import_module(_RENDER).tabulate(self)

@@ -1,10 +1,10 @@
-"""What a robot file says beyond the plain tree: transmissions, loops, couplings, friction, and our own hints.
+"""Contents of a robot file beyond the plain tree: transmissions, loops, couplings, friction, and hints of `tau_dyn`.
 
 Read from the expanded URDF. `<drake:ball_constraint>` closes loops (the same element Drake reads), and so does `<constraint>`,
 which urdfdom's pull request 264 proposes. Motors are named by `<transmission>` and by `<ros2_control>`. `<tau_dyn:...>`
-elements are hints no other program needs: which parameters a link has, a home position, a known closed form, mass that
-only gravity feels, springs on joints that yield, what a drive's reading is to its slide's travel, and what in the file is
-assumed rather than measured.
+elements are hints that no other program needs: the parameters of a link, a home position, a known closed form, mass that only
+gravity acts on, springs on compliant joints, the ratio of a slide's travel to its drive's reading, and the values of the file
+that are assumed rather than measured.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ _POINTS = {
     "revolute": ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0)),
     "fixed": ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.1, 0.0)),
 }
-"""Points [m] of a `<constraint>`'s frame, its axis along x, that coincide for each type that points can tie."""
+"""Points [m] in a `<constraint>`'s frame, with its axis along x, that coincide for each type of constraint that points can
+represent."""
 
 
 @dataclass(frozen=True)
@@ -53,9 +54,9 @@ class BallConstraint:
 
 @dataclass(frozen=True)
 class Transmission:
-    """An actuated joint and its drive's inertia seen at the joint [kg or kg m^2]; None where the file gives no rotor inertia.
+    """An actuated joint and its drive's inertia seen at the joint [kg or kg m^2]; None if the file gives no rotor inertia.
 
-    `ratio` is the gear's, motor turns a turn of the joint or radians a metre; 1 where the file gives none.
+    `ratio` is the gear ratio, in motor turns per turn of the joint or radians per metre; 1 if the file has no ratio.
     """
 
     joint: str
@@ -77,10 +78,11 @@ class Spring:
     """A spring on a joint: `force = -stiffness * deflection - damping * velocity`, deflection zero when unloaded.
 
     Attributes:
-        joint: A joint of one degree of freedom. A passive joint yields itself; an actuated one between its drive and its link.
+        joint: A joint of one degree of freedom. A passive joint deflects itself; an actuated one has the spring between drive
+            and link.
         stiffness: [N/m or N m/rad].
         damping: [N s/m or N m s/rad].
-        stiffness_stderr: Standard error of the stiffness [N/m or N m/rad], None where the file gives none.
+        stiffness_stderr: Standard error of the stiffness [N/m or N m/rad]; None if the file does not state it.
     """
 
     joint: str
@@ -95,8 +97,8 @@ class Mimic:
 
     Attributes:
         joint: The joint that it follows.
-        multiplier: Its share.
-        offset: Its position where the other one is at zero.
+        multiplier: Ratio of its position to that of the other joint.
+        offset: Its position when the other joint is at zero.
     """
 
     joint: str
@@ -106,7 +108,7 @@ class Mimic:
 
 @dataclass(frozen=True)
 class JointFriction:
-    """What a file says of a joint's friction: `viscous` [N s/m or N m s/rad] and `coulomb` [N or N m]."""
+    """A joint's friction in a robot file: `viscous` [N s/m or N m s/rad] and `coulomb` [N or N m]."""
 
     viscous: float
     coulomb: float
@@ -114,7 +116,7 @@ class JointFriction:
 
 @dataclass(frozen=True)
 class Annotations:
-    """All that the file says beyond the plain tree."""
+    """All contents of the file beyond the plain tree."""
 
     joints: dict[str, str]  # movable joint -> child link
     links: tuple[str, ...]
@@ -190,7 +192,7 @@ _LINK_PAIRS = (("parent_link", "child_link"), ("parentLink", "childLink"), ("par
 
 
 def _refuse_gazebo_loops(root: Element, links: Sequence[str], where: str) -> None:
-    """Refuse loops that Gazebo closes outside of the tree: without them, the passive joints would be taken as held still.
+    """Reject loops that Gazebo closes outside of the tree: without them, the passive joints would count as fixed.
 
     Raises:
         InputError: A joint or a plugin of a `<gazebo>` element connects two links of the tree.
@@ -250,7 +252,7 @@ class _Reader:
         return found
 
     def friction(self) -> dict[str, JointFriction]:
-        """Return what `<dynamics>` says of joints that have some friction."""
+        """Return the friction in `<dynamics>` of the joints that have some."""
         found = {}
         for joint in self.root.findall("joint"):
             element, name = joint.find("dynamics"), joint.get("name", "")
@@ -321,7 +323,7 @@ class _Reader:
         return (*found, *(ball for element in self.root.findall("constraint") for ball in self._constraint(element)))
 
     def _constraint(self, element: Element) -> list[BallConstraint]:
-        """Return a proposed `<constraint>` as points that coincide: one of a ball, two of a hinge, three of a rigid tie."""
+        """Return a proposed `<constraint>` as coinciding points: one for a ball, two for a hinge, three for a rigid one."""
         name, kind = element.get("name", ""), element.get("type", "")
         if kind not in _POINTS:
             known = ", ".join(_POINTS)
@@ -418,7 +420,7 @@ class _Reader:
         return tuple(found.values())
 
     def drive_springs(self) -> tuple[Spring, ...]:
-        """Return the springs between drives and links, one a joint at most."""
+        """Return the springs between drives and links, at most one per joint."""
         found: dict[str, Spring] = {}
         for element in self.ours("drive_spring"):
             name = self.joint_of(element, "joint")
@@ -451,7 +453,7 @@ class _Reader:
         return inertia * (1.0 if ratio is None else ratio) ** 2
 
     def _find_ratio(self, actuator: Element, joint: Element) -> float | None:
-        """Return a gear's ratio, Drake's or ROS' `<mechanicalReduction>`; None where the file gives none."""
+        """Return a gear ratio, Drake's or ROS' `<mechanicalReduction>`; None if the file has no ratio."""
         ratio = self._drake_value(actuator, "gear_ratio")
         for element in (actuator, joint):
             if ratio is None and (text := element.findtext("mechanicalReduction")) is not None:

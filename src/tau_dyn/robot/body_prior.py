@@ -1,19 +1,20 @@
-r"""What is known of a robot's bodies before any log: the one prior of the whole program.
+r"""Prior knowledge of a robot's bodies before any log; the whole program uses this one prior.
 
 An inertial number `x` has the value `x0` of the robot file. Its error is the stated one (`--fix LINK.mass=VALUE+-SIGMA`, the
-model of a fleet). Where none is stated, the file is one of two kinds, and nobody knows which before the logs:
+model of a fleet). If no error is stated, the file is one of two kinds, and it is unknown which one before the logs are used:
 
     accurate     x ~ N(x0, (0.02 s)^2)      s = m r^k,  k = 0 mass, 1 first moment, 2 inertia
     rough        x ~ N(x0, (0.25 s)^2)      m mass of the body, r its radius of gyration about the joint frame's origin
 
-This is a contaminated normal distribution (Tukey 1960; Box & Tiao 1968). Two questions are asked of it:
+This is a contaminated normal distribution (Tukey 1960; Box & Tiao 1968). It answers two questions:
 
 - *Is the file right about this body?* The null hypothesis is the accurate file. A difference beyond `accurate` is reported. A
-  single cause of it has to be likelier than the rough file, in which every body is off as a whole.
-- *How far may a body be off where the logs are silent?* No log rules the rough file out there, so `rough` is the spread.
+  single cause of it has to be likelier than the rough file, in which every body is wrong as a whole.
+- *How large may the error of a body be in directions without information in the logs?* No log excludes the rough file there, so
+  `rough` is the spread.
 
-One number cannot answer both. At 25 %, a link that is a half too heavy is not reported. At 2 %, what only the file determines (a
-compliance, the size of a body) has an interval that is ten times too narrow on a maker's file.
+One number cannot answer both. At 25 %, a link that is too heavy by half is not reported. At 2 %, a quantity that only the file
+determines (a compliance, the size of a body) has an interval that is ten times too narrow for a manufacturer's file.
 """
 
 from __future__ import annotations
@@ -28,16 +29,16 @@ from tau_dyn.robot.robot import INERTIAL, LinkInertia, Robot
 ACCURATE_FILE = 0.02
 """Standard deviation of a number of an accurate file, relative to the body's size.
 
-It is the accuracy of a CAD volume with a catalogue density, and the level at which a difference is worth a look."""
+It is the accuracy of a CAD volume with a catalogue density, and the level from which a difference is worth reporting."""
 ROUGH_FILE = 0.25
 """Standard deviation of a number of a rough file, relative to the body's size.
 
-The files of the UR5 and the UR10 add up to 20.99 and 32.70 kg; the maker states 18.4 and 28.9 kg. Independent errors `e` of the
-links, `sum m = M`, give a total error of `e sqrt(sum m^2)`: so `e` is 28 and 26 % of a link."""
+The masses in the files of the UR5 and the UR10 sum to 20.99 and 32.70 kg; the manufacturer states 18.4 and 28.9 kg. Independent
+errors `e` of the links, `sum m = M`, give a total error of `e sqrt(sum m^2)`: so `e` is 28 and 26 % of a link."""
 MIN_MASS_SHARE = 1e-3
-"""Mass of a body without mass, relative to that of all bodies."""
+"""Assumed mass of a body without mass, relative to that of all bodies."""
 UNKNOWN_RADIUS_M = 0.05
-"""Radius of a body whose centre and inertia are not given: that of a hand-sized part."""
+"""Assumed radius of a body whose centre and inertia are not given: that of a hand-sized part."""
 LENGTH_POWERS = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
 """Powers of a length in the ten inertial numbers."""
 
@@ -58,10 +59,10 @@ class BodyPrior:
 
     @classmethod
     def of(cls, robot: Robot, parameters: Parameters | None = None) -> BodyPrior:
-        """Return the prior of a robot; without any mass in its file, that of the drives alone.
+        """Return the prior of a robot; if its file has no mass, the prior of the drives alone.
 
-        The stated error of a mass says nothing of the body's centre and inertia, unless it is larger than the default: they are
-        known no better than the mass then.
+        The stated error of a mass does not change the prior of the body's centre and inertia, unless it is larger than the
+        default; then they are known no better than the mass.
 
         Args:
             robot: The robot.
@@ -85,7 +86,7 @@ class BodyPrior:
 
 
 def compute_nominal_stderr(p: Parameter) -> float | None:
-    """Return the standard deviation of a nominal value: the stated one, else that of a mass in an accurate file, else None."""
+    """Return the standard deviation of a nominal value: the stated one, or that of a mass in an accurate file, or None."""
     if p.prior_stderr is not None:
         return p.prior_stderr
     return ACCURATE_FILE * abs(p.value) if p.name.endswith(".mass") else None

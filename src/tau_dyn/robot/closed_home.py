@@ -1,8 +1,8 @@
-"""A home at which the loops of a robot close, where the zeros of its file are none.
+"""A home at which the loops of a robot close, for files whose zero positions do not close them.
 
-Zeros of a stretched mechanism are a dead centre, and zeros that a drawing program chose may close no loop at all. From the
-file's home and from random starts, least squares on the gaps `p_A - p_B` moves the passive joints, and all joints where that
-does not do. Of the closures within the limits the one nearest to the file's home is taken.
+The zero position of a stretched mechanism is a dead centre, and zeros chosen by a CAD program may close no loop at all. Least
+squares on the gaps `p_A - p_B`, started at the file's home and at random positions, moves the passive joints, or all joints if
+that is not enough. The closure within the limits that is nearest to the file's home is taken.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from tau_dyn.message_codes import CodedWarning
 from tau_dyn.robot.robot import Robot
 
 _CLOSED = 1e-9  # [m] largest gap of a closed loop
-_ALIKE = 1e-4  # [rad or m] difference of joint positions below which two closures are one
+_ALIKE = 1e-4  # [rad or m] difference of joint positions below which two closures are equal
 _STARTS = 30  # at random; a chain of six passive joints with four assembly modes closes from each tenth
-_NEWTON_STEPS = 30  # as many as the solver of loops takes
+_NEWTON_STEPS = 30  # the number of iterations of the loop solver
 _MAX_STEP = 0.5  # [m or rad] of a passive joint in one step of Newton's method
-_BLIND = 1e-9  # of the largest singular value, below which a step does not go
+_BLIND = 1e-9  # share of the largest singular value below which directions are not moved
 _MAX_CLOSURES = 6  # closures that end the search
-_MAX_EVALUATIONS = 200  # of one descent; one that comes to a closure takes about ten
+_MAX_EVALUATIONS = 200  # iterations of one descent; one that reaches a closure takes about ten
 _FREE_SLIDE = 1.0  # [m] reach of a slide without limits
 _WORLD = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 _NAMED = 6  # joints in a message
 
 
 def close_home(robot: Robot) -> Robot:
-    """Return the robot with a home at which its loops close, and a warning that gives it; the robot itself where its home does.
+    """Return the robot with a home at which its loops close, and a warning that states it; unchanged if its home closes them.
 
-    Where no start leads to a closure the robot is returned as it is, and closing its loops is refused later.
+    If no start leads to a closure, the robot is returned unchanged, and closing its loops raises later.
     """
     passive = [int(k) for k in robot.passive_v]
     if any(joint.nv != 1 for joint in robot.model.joints[1:]) or not passive:
@@ -58,7 +58,7 @@ class _Gap:
         share, offset = robot.coupling
         self.share, self.offset = share, offset
         self.home = share @ robot.home + offset
-        self.spread = np.eye(robot.model.nv)  # positions of all joints by each, what follows it included
+        self.spread = np.eye(robot.model.nv)  # positions of all joints by each joint, including its followers
         self.spread[:, robot.active_v] = share / robot.drive_scale
         joints = list(robot.model.joints)[1:]
         self.names = {joint.idx_v: name for name, joint in zip(robot.model.names[1:], joints, strict=True)}
@@ -83,14 +83,14 @@ class _Gap:
         return np.concatenate([data.oMf[k.frame_a].translation - data.oMf[k.frame_b].translation for k in loops])
 
     def follow(self, x: np.ndarray) -> np.ndarray:
-        """Return positions (nv,) with the joints that follow actuated ones where these put them."""
+        """Return positions (nv,) in which joints that follow actuated ones have the positions given by these."""
         active = self.robot.active_v
         placed = self.share @ (x[active] / self.robot.drive_scale) + self.offset
         rows = self.share.any(axis=1)
         return np.where(rows, placed, x)
 
     def differentiate(self, x: np.ndarray, moved: list[int]) -> np.ndarray:
-        """Return the gaps' derivative (3 loops, moved) by the positions of some joints, with what follows them."""
+        """Return the gaps' derivative (3 loops, moved) by the positions of some joints, with their followers."""
         model, data = self.robot.model, self.data
         pin.computeJointJacobians(model, data, pin.integrate(model, pin.neutral(model), x))
         pin.updateFramePlacements(model, data)
@@ -102,7 +102,7 @@ class _Gap:
         return np.concatenate(rows) @ self.spread[:, moved]
 
     def descend(self, start: np.ndarray, moved: list[int]) -> np.ndarray | None:
-        """Return the closure (nv,) that least squares over some joints reaches, None where gaps are left."""
+        """Return the closure (nv,) that least squares over some joints reaches; None if gaps remain."""
 
         def place(part: np.ndarray) -> np.ndarray:
             x = start.copy()
@@ -118,7 +118,7 @@ class _Gap:
         return x if np.abs(self.measure(x)).max() < _CLOSED else None
 
     def solve_from_home(self) -> np.ndarray | None:
-        """Return the closure (nv,) to which Newton's method leads the passive joints from the file's home; None where to none."""
+        """Return the closure (nv,) that Newton's method finds for the passive joints from the file's home, or None."""
         x, moved = self.home.copy(), [int(k) for k in self.robot.passive_v]
         for _ in range(_NEWTON_STEPS):
             gap = self.measure(x)
@@ -141,7 +141,7 @@ class _Gap:
         return sorted(found, key=lambda x: (round(float(np.sum((x - self.home)[moved] ** 2)), 6), *(-x).tolist()))
 
     def _list_starts(self, moved: list[int]) -> Iterator[np.ndarray]:
-        """Yield starts (nv,): near the home first, then all over the limits."""
+        """Yield starts (nv,): near the home first, then over the whole range of the limits."""
         rng, reach = np.random.default_rng(0), np.where(self.turns, np.pi, _FREE_SLIDE)
         lower, upper = np.maximum(self.lower, self.home - reach), np.minimum(self.upper, self.home + reach)
         yield self.home
@@ -152,7 +152,7 @@ class _Gap:
             yield x
 
     def _wrap(self, x: np.ndarray) -> np.ndarray | None:
-        """Return turns within half a turn of the home where the limits allow it, None beyond the limits."""
+        """Return angles within half a turn of the home if the limits permit it; None beyond the limits."""
         near = np.where(self.turns, self.home + (x - self.home + np.pi) % (2 * np.pi) - np.pi, x)
         for shift in (0.0, 2 * np.pi, -2 * np.pi):
             out = self.turns & ((near < self.lower - _ALIKE) | (near > self.upper + _ALIKE))

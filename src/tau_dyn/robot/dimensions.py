@@ -1,7 +1,8 @@
-"""Dimensions of a robot family by name: numbers in the YAML tables that a xacro loads, and files of one's own dimensions.
+"""Dimensions of a robot family by name: numbers in the YAML tables that a xacro loads, and files of user-defined dimensions.
 
-A name is the path to an entry, such as `simplified.arms.1.rods.1.length`; lists count from 1. What an alias of the table
-repeats follows the entry. A file of one's own holds the same names as nested mappings, beside xacro arguments:
+A name is the path to an entry, such as `simplified.arms.1.rods.1.length`; lists count from 1. Entries that an alias of the
+table repeats change with it. A file of user-defined dimensions holds the same names as nested mappings, in addition to xacro
+arguments:
 
     arms: complete
     home: {tool: [1.7, -0.6, 0.8]}
@@ -22,7 +23,7 @@ from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import PlainLoader, read_yaml
 
 MAX_DIMENSIONS = 1000
-"""Entries of a file of one's own dimensions; the largest table that comes along has about 150."""
+"""Largest number of entries of a file of user-defined dimensions; the largest built-in table has about 150."""
 _FLOAT = "tag:yaml.org,2002:float"
 _NUMBERS = (_FLOAT, "tag:yaml.org,2002:int")
 
@@ -31,7 +32,7 @@ def read_dimensions_file(path: str | Path) -> dict[str, str]:
     """Return a YAML file's entries as names and values, as `--set NAME=VALUE` takes them.
 
     Raises:
-        InputError: The file cannot be read, is no mapping, or holds something else than numbers, texts and lists of them.
+        InputError: The file cannot be read, is not a mapping, or holds values other than numbers, texts and lists of them.
     """
     content = read_yaml(path)
     if not isinstance(content, dict) or not content:
@@ -69,9 +70,9 @@ class TableChanges:
 
     Attributes:
         values: Values by name, as given.
-        listing: Whether tables are read even where nothing changes.
+        listing: Whether tables are read even if no value changes.
         numbers: Every number in the tables loaded so far, by name.
-        fault: What was wrong with a table or a value, if anything.
+        fault: The error in a table or a value, if any.
     """
 
     def __init__(self, values: Mapping[str, str], *, listing: bool = False) -> None:
@@ -82,7 +83,7 @@ class TableChanges:
         self._used: set[str] = set()
 
     def apply(self, text: str, where: str) -> str:
-        """Return a table's text with the changes that concern it.
+        """Return a table's text with the changes of its entries.
 
         Raises:
             InputError: A value is of another kind or length than the entry it replaces.
@@ -100,10 +101,10 @@ class TableChanges:
         return yaml.serialize(root) if len(self._used) > used else text
 
     def require_all_used(self, arguments: list[str], where: str) -> None:
-        """Refuse a name that neither arguments nor tables have.
+        """Reject a name that neither arguments nor tables have.
 
         Raises:
-            UnknownName: With the names that stand beside it.
+            UnknownName: The message lists the names that exist at that place.
         """
         for name in self.values:
             if name not in self._used:
@@ -115,13 +116,13 @@ class TableChanges:
                 raise UnknownName(kind, name, [*arguments, *self._list_below("")], where)
 
     def _list_below(self, parent: str) -> list[str]:
-        """Return the names one level below another; of the top level with an empty one."""
+        """Return the names one level below another name; those of the top level for an empty name."""
         start = f"{parent}." if parent else ""
         return list(dict.fromkeys(start + n[len(start) :].split(".")[0] for n in self.numbers if n.startswith(start)))
 
 
 def _find(node: Any, path: list[str]) -> Any:
-    """Return the node at the end of a path, None where there is none."""
+    """Return the node at the end of a path, or None."""
     for key in path:
         if isinstance(node, yaml.MappingNode):
             node = next((inside for own, inside in node.value if own.value == key), None)
@@ -152,7 +153,7 @@ def read_number(text: str, where: str) -> float:
     """Return a finite number.
 
     Raises:
-        InputError: The text is none.
+        InputError: The text is not a finite number.
     """
     try:
         number = float(text)

@@ -1,9 +1,9 @@
-"""From a robot file to plain URDF text: short names, xacro arguments, MJCF, and XML that cannot expand entities.
+"""Expand a robot file to plain URDF text: short names, xacro arguments, MJCF, and XML that cannot expand entities.
 
-A xacro file is code: it evaluates Python expressions. Here they may not reach for Python itself (`xacro_evaluation.py`), and
-neither the file nor anything it includes may declare a document type or entities; but a xacro may still read files, and
-compute without end. Load one only from people whose scripts you would run, or refuse them all with `xacro=False`. A file that
-neither ends in `.xacro` nor declares xacro's namespace is never evaluated.
+A xacro file is code: it evaluates Python expressions. Here they have no access to Python itself (`xacro_evaluation.py`), and
+neither the file nor anything it includes may declare a document type or entities. A xacro may still read files and run without
+end. Load one only from people whose scripts you would run, or refuse all of them with `xacro=False`. A file that neither ends
+in `.xacro` nor declares xacro's namespace is never evaluated.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from xml.dom.minidom import Document
 from xml.parsers.expat import ExpatError
 
 from defusedxml.common import DefusedXmlException
-from defusedxml.expatbuilder import parseString  # as minidom's, without its network modules
+from defusedxml.expatbuilder import parseString  # like minidom's, without its network modules
 
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import format_yaml, read_bytes
@@ -31,10 +31,10 @@ from tau_dyn.robot.xacro_evaluation import evaluate_xacro
 _LOG = "; this looks like a log; were robot and log exchanged?"
 _MODEL = "; is it a model file? Then give the robot's file first"
 _SWAPPED = {".csv": _LOG, ".parquet": _LOG, ".mcap": _LOG, ".bag": _LOG, ".mat": _LOG, ".yaml": _MODEL, ".yml": _MODEL}
-"""What may have happened where a file of another kind stands for a robot."""
+"""Hint for a file of another kind that was given as a robot."""
 
 MAX_ROBOT_BYTES = 32 * 2**20
-"""[bytes] Of a robot file; real ones, without their meshes, have less than one MiB."""
+"""Largest size of a robot file [bytes]; real ones, without their meshes, have less than one MiB."""
 
 
 def find_urdf_folder() -> Path:
@@ -62,7 +62,7 @@ def list_robots() -> dict[str, Path]:
 
 
 def describe_robot(path: Path) -> str:
-    """Return the first sentence of the first comment in a robot file, its brackets whole; empty where it has none."""
+    """Return the first sentence of the first comment in a robot file, with its brackets closed; empty if it has no comment."""
     head = path.read_text(encoding="utf-8", errors="replace")[:4000]
     comment = re.search(r"<!--(.*?)-->", head, re.DOTALL)
     words = " ".join(comment.group(1).split()) if comment and path in list_robot_names().values() else ""
@@ -75,7 +75,7 @@ def find_robot(robot: str | Path) -> Path:
 
     Raises:
         InputError: The file does not exist or is not a robot file.
-        UnknownName: A bare word that is no name of a robot.
+        UnknownName: A bare word is not the name of a robot.
     """
     path, stock = Path(robot), list_stock_robots()
     try:
@@ -138,15 +138,15 @@ def expand(
 
 @lru_cache(maxsize=32)
 def _expand_own(path: Path, given: tuple[tuple[str, str], ...], written: tuple[tuple[str, int], ...]) -> str:
-    """Expand a robot that comes with the package once, for as long as no file beside it is written again."""
-    del written  # part of what is remembered
+    """Expand a built-in robot once; it is expanded again only if a file in its folder changes."""
+    del written  # part of the cache key
     return _expand(path, dict(given), evaluate=True)[0]
 
 
 def list_dimensions(
     path: Path, arguments: Mapping[str, object] | None = None, *, evaluate: bool = True
 ) -> dict[str, str]:
-    """Return what `--set` takes for a xacro: its arguments with their values, then the entries of the tables that it loads.
+    """Return the names for `--set` of a xacro: its arguments with their values, then the entries of the tables that it loads.
 
     Raises:
         InputError: As `expand`.
@@ -167,15 +167,15 @@ def _expand(
     changes = TableChanges({})
 
     def read_table(name: str) -> str:
-        """Return a table that a xacro loads, once it is known to hold nothing that takes long, with changes to it."""
+        """Return a table that a xacro loads, with changes to it, after a check that it does not take long to load."""
         try:
             return changes.apply(format_yaml(name), str(name))
         except InputError as fault:
-            changes.fault = fault  # xacro wraps it in words of its own
+            changes.fault = fault  # xacro wraps it in another message
             raise
 
     def find(name: str) -> str:
-        """Return the folder of a ROS package that a xacro asks for."""
+        """Return the folder of a ROS package that a xacro requests."""
         try:
             return str(find_package(name, path, packages))
         except InputError as fault:
@@ -206,7 +206,7 @@ def _expand(
         raise fault if str(fault).startswith(str(path)) else InputError(fault.code, f"{path}: {fault}") from fault
     except (RecursionError, MemoryError) as fault:
         raise InputError("file_format", f"{path}: expands without end") from fault
-    except Exception as fault:  # whatever an expression in the file raised: its fault, named below
+    except Exception as fault:  # any exception of an expression in the file: an error of the file, reported below
         if changes.fault is not None:
             raise changes.fault from fault
         reason = " ".join(str(fault).split()) or type(fault).__name__
@@ -217,13 +217,13 @@ def _expand(
 
 
 def _rename_twins(document: Document) -> None:
-    """Give links that are named like a joint a name of their own: parameters are named after both."""
+    """Rename links that have the name of a joint: parameters are named after both."""
     root: Any = document.documentElement
     inside = [node for node in root.childNodes if node.nodeType == node.ELEMENT_NODE]
     names = {tag: {node.getAttribute("name") for node in inside if node.tagName == tag} for tag in ("link", "joint")}
     twins = {name: f"{name}_link" for name in sorted(names["link"] & names["joint"]) if name}
     if not twins or set(twins.values()) & (names["link"] | names["joint"]):
-        return  # none, or refused where the robot is built
+        return  # missing, or rejected when the robot is built
     for node in [node for parent in inside for node in (parent, *parent.getElementsByTagName("*"))]:
         keys = ("name",) if node.tagName == "link" or "body_" in node.tagName else ("link",)
         for key in keys:
@@ -237,7 +237,7 @@ def _rename_twins(document: Document) -> None:
 
 
 def is_xacro(path: Path, document: Document) -> bool:
-    """Tell whether a robot file is to be evaluated: by its name, or by xacro's namespace on its root."""
+    """Return whether a robot file is to be evaluated: by its name, or by xacro's namespace on its root."""
     root: Any = document.documentElement
     return path.name.endswith(".xacro") or root.hasAttribute("xmlns:xacro") or root.tagName.startswith("xacro:")
 
@@ -249,7 +249,7 @@ def _list_arguments(document: Document) -> dict[str, str]:
 
 
 def _check_arguments(path: Path, declared: Mapping[str, str], given: Mapping[str, str]) -> None:
-    """Refuse a text where a robot of ours has a number, and a negative number where it has a positive one."""
+    """Reject a text in place of a built-in robot's number, and a negative number in place of a positive one."""
     if path not in list_robot_names().values():
         return
     for name, text in given.items():
@@ -262,7 +262,7 @@ def _check_arguments(path: Path, declared: Mapping[str, str], given: Mapping[str
 
 
 def _parse(inp: object, filename: str | None = None) -> Document:
-    """Parse like `xacro.parse`, but without entities, and naming file and line of a fault."""
+    """Parse like `xacro.parse`, but without entities, and with file and line of an error."""
     if isinstance(inp, Document):
         return inp
     name = filename or "robot text"

@@ -25,7 +25,7 @@ _NAMESPACES = {"drake": "http://drake.mit.edu", "tau_dyn": _OURS}
 BASE_COORDINATES = ("base_x", "base_y", "base_z", "base_yaw", "base_pitch", "base_roll")
 """Joints that place a floating base in the world, in the tree's order."""
 _AXES = ("1 0 0", "0 1 0", "0 0 1", "0 0 1", "0 1 0", "1 0 0")
-_ENDLESS = "1e12"  # [m] a slide's limit where it has none
+_ENDLESS = "1e12"  # [m] limit of a slide without limits
 POINT, FLAT = "point", "flat"
 FREE_BODY = f"{{{_OURS}}}free_body"
 """Element that names the link of an MJCF body with a free joint."""
@@ -33,13 +33,13 @@ FREE_BODY = f"{{{_OURS}}}free_body"
 
 @dataclass(frozen=True)
 class ContactFrame:
-    """A place of the robot that touches the ground at times.
+    """A part of the robot that may touch the ground.
 
     Attributes:
         frame: Name of the link, as in the log's column `contact_FRAME`.
         kind: `point`: the ground exerts a force through one point; `flat`: a force and a moment.
-        radius: Radius of a spherical foot [m]; the ground touches it so far below its centre.
-        centre: The sphere's centre in the link's frame (3,) [m]; of other feet, the frame's origin.
+        radius: Radius of a spherical foot [m]; the ground touches it at this distance below its centre.
+        centre: The sphere's centre in the link's frame (3,) [m]; for other feet, the frame's origin.
     """
 
     frame: str
@@ -58,7 +58,7 @@ def free_base(urdf: str, contacts: Iterable[str], where: str) -> str:
         where: The robot's source, for messages.
 
     Raises:
-        UnknownName: A contact is no link.
+        UnknownName: A contact is not a link.
         InputError: A contact is of another kind, or names of the file are those of the base's coordinates.
     """
     for prefix, uri in _NAMESPACES.items():
@@ -76,7 +76,7 @@ def free_base(urdf: str, contacts: Iterable[str], where: str) -> str:
 
 
 def _cut(root: Element, links: dict[str, Element], taken: set[str], where: str) -> tuple[str, str]:
-    """Return the world's link and the base's, between which no joint is left."""
+    """Return the world's link and the base's, after removal of the joint between them."""
     joints = {_end(e, "child"): e for e in root.findall("joint")}
     roots = [name for name in links if name not in joints]
     freed = [e.get("link", "") for e in root.findall(FREE_BODY)]
@@ -97,7 +97,7 @@ def _cut(root: Element, links: dict[str, Element], taken: set[str], where: str) 
 
 
 def _add_coordinates(root: Element, world: str, base: str) -> None:
-    """Put the six joints, with links without mass between them, between world and base."""
+    """Insert the six joints, connected by massless links, between world and base."""
     parent = world
     for name, axis in zip(BASE_COORDINATES, _AXES, strict=True):
         child = base if name == BASE_COORDINATES[-1] else f"{name}_link"
@@ -133,7 +133,7 @@ def _add_contact(root: Element, links: dict[str, Element], text: str, where: str
 
 
 def _find_sphere(link: Element) -> tuple[str, str] | None:
-    """Return radius and centre of the one sphere that a link's collisions, or else its pictures, show."""
+    """Return radius and centre of the single sphere in a link's collisions, or otherwise in its visuals."""
     for tag in ("collision", "visual"):
         found = [(shape, e) for e in link.findall(tag) if (shape := e.find("geometry/sphere")) is not None]
         if len(found) == 1:

@@ -1,4 +1,4 @@
-"""Joints that are held still: a URDF text in which they are fixed at given positions, with all that names them.
+"""Fixed joints: a URDF text in which joints are fixed at given positions, with all elements that name them.
 
 A held joint becomes `type="fixed"`, and its origin is composed with the motion of the joint at its position, so every later step
 (tree, export, saved model) reads one file. Joints that mimic a held joint are held at their own positions.
@@ -19,7 +19,7 @@ from tau_dyn.robot.numbers import MAX_NUMBER, build_rotation, compute_rpy, parse
 _NAMESPACES = {"drake": "http://drake.mit.edu", "tau_dyn": "urn:tau_dyn"}
 _TURNS = ("revolute", "continuous")
 _DROPPED = ("axis", "limit", "mimic", "dynamics", "safety_controller", "calibration")
-"""Elements that a fixed joint does not have."""
+"""Elements that do not apply to a fixed joint."""
 
 
 def hold_joints(urdf: str, held: Mapping[str, float], where: str) -> str:

@@ -1,6 +1,6 @@
-"""From a robot file to a `Robot`: expand, read, hand the tree to Pinocchio, add frames at the loops' ends.
+"""Load a robot file as a `Robot`: expand, read, pass the tree to Pinocchio, add frames at the loops' ends.
 
-The file stays the single source for Pinocchio (which ignores the loop elements), Drake (which reads them) and us.
+The file remains the single source for Pinocchio (which ignores the loop elements), Drake (which reads them) and `tau_dyn`.
 """
 
 from __future__ import annotations
@@ -40,14 +40,15 @@ from tau_dyn.robot.semantics import find_srdf, read_passive_joints
 
 _LOGGER = logging.getLogger(__name__)
 TOOL_NAMES = ("tool", "tool0", "tcp", "hand_tcp", "ee_link", "end_effector", "attachment_site", "flange")
-_MOUNTS = TOOL_NAMES[5:]  # carry tools: the only leaf behind one is the tool
-"""Usual names of a tool frame, our own files', ROS-Industrial's, and those of common arms.
+_MOUNTS = TOOL_NAMES[5:]  # tool flanges: the only leaf behind one is the tool
+"""Usual names of a tool frame: those of the built-in robots, of ROS-Industrial, and of common arms.
 
-The first that exists counts; where none does, the first that a single frame's name ends in, as `panda_hand_tcp` does."""
+The first one that exists is used; otherwise the first one with which the name of exactly one frame ends, such as
+`panda_hand_tcp`."""
 FITTED = '<tau_dyn:estimated_inertias xmlns:tau_dyn="urn:tau_dyn"/>'
-"""Element of a robot file whose inertias data gave; they need not be those of bodies."""
+"""Element of a robot file whose inertias were fitted to data; they need not be physically consistent."""
 MAX_DEGREES_OF_FREEDOM = 300
-"""Degrees of freedom of a tree; Pinocchio's preparations for one take a second at 300 and a minute at 1000."""
+"""Largest number of degrees of freedom of a tree; Pinocchio's setup takes a second at 300 and a minute at 1000."""
 
 
 def load_robot(
@@ -69,18 +70,18 @@ def load_robot(
 
     Args:
         robot: Path to a `.urdf`, `.urdf.xacro` or MJCF `.xml`, or the short name of a robot that comes with the package, with
-            `example-robot-data` (`ur5`) or is in the cache of `robot_descriptions` (`ur5e_description`).
+            `example-robot-data` (`ur5`), or is in the cache of `robot_descriptions` (`ur5e_description`).
         actuated: Names of the actuated joints; by default those with a `<transmission>` or commanded by `<ros2_control>`.
         tool: Name of the tool frame; by default the first of `TOOL_NAMES`, or the only leaf of the tree.
-        xacro: Whether a xacro may be evaluated; False takes plain URDF only, for a file from people you do not trust.
-        packages: Folders of ROS packages by name, before those that are found (`packages.py`).
-        srdf: An SRDF that names passive joints; by default the one beside the file, of the same name.
-        fitted_inertias: Accept inertias that no body has, as those that were fitted to forces.
-        hold: Positions of joints that are held still [m or rad], by name.
-        base: `floating` for a robot that walks; its pose is then measured (`floating_base.py`). By default `fixed`; any other
-            value is the xacro argument of this name, a dimension of some robots.
+        xacro: Whether a xacro may be evaluated; False accepts plain URDF only, for files from an untrusted source.
+        packages: Folders of ROS packages by name; they take precedence over those that are found (`packages.py`).
+        srdf: An SRDF that names passive joints; by default the one next to the file, of the same name.
+        fitted_inertias: Accept inertias that no body can have, such as those fitted to forces.
+        hold: Positions of joints that are fixed [m or rad], by name.
+        base: `floating` for a robot that walks; its pose is then measured (`floating_base.py`). The default is `fixed`; any
+            other value is the xacro argument of this name, a dimension of some robots.
         contacts: Links that touch the ground at times: `FRAME` for a point foot, `FRAME=RADIUS` [m] for a ball about its origin
-            (by default the one that the link shows), `FRAME=flat` for a flat foot.
+            (by default the sphere of the link's geometry), `FRAME=flat` for a flat foot.
         **arguments: xacro arguments, such as `prototype="l1"`.
 
     Raises:
@@ -122,7 +123,7 @@ def load_robot(
 
 
 def _float(urdf: str, contacts: tuple[str, ...], where: str, *, floating: bool) -> str:
-    """Return URDF text with the base that was asked for."""
+    """Return URDF text with the requested base."""
     if floating:
         read_annotations(urdf, where)
         return free_base(urdf, contacts, where)
@@ -132,7 +133,7 @@ def _float(urdf: str, contacts: tuple[str, ...], where: str, *, floating: bool) 
 
 
 def as_robot(robot: Robot | str | Path) -> Robot:
-    """Return a robot as it is, or load it from its path or short name; see `load_robot`.
+    """Return a robot unchanged, or load it from its path or short name; see `load_robot`.
 
     Raises:
         InputError: It is something else, or its file cannot be used.
@@ -159,10 +160,10 @@ def load_robot_from_urdf(
     passive: Iterable[str] = (),
     packages: Mapping[str, str | Path] | None = None,
 ) -> Robot:
-    """Build a robot from URDF text; `source` is how messages and saved models call it. See `load_robot`.
+    """Build a robot from URDF text; `source` is its name in messages and saved models. See `load_robot`.
 
     Joints with a `<tau_dyn:spring>` are locked at zero, so that the robot is rigid; `lock_springs=False` leaves them movable.
-    Joints named `passive` are not taken as actuated unless the text or `actuated` says so. Meshes are looked for in `packages`.
+    Joints named `passive` are not actuated unless the text or `actuated` names them. Meshes are searched in `packages`.
     """
     notes = read_annotations(urdf, source)
     model = _build_model(urdf, source)
@@ -279,7 +280,7 @@ def _build_model(urdf: str, where: str) -> pin.Model:
             "robot_structure",
             f"{where}: its joints have {model.nv} degrees of freedom; a robot has {MAX_DEGREES_OF_FREEDOM} at most",
         )
-    none = model.lowerPositionLimit == model.upperPositionLimit  # a URDF's limits are zero where they are not given
+    none = model.lowerPositionLimit == model.upperPositionLimit  # a URDF's limits are zero if they are not given
     model.lowerPositionLimit = np.where(none, -np.inf, model.lowerPositionLimit)
     model.upperPositionLimit = np.where(none, np.inf, model.upperPositionLimit)
     model.lowerPositionLimit = np.clip(model.lowerPositionLimit, -MAX_NUMBER, MAX_NUMBER)
@@ -288,7 +289,7 @@ def _build_model(urdf: str, where: str) -> pin.Model:
 
 
 def _check_bodies(model: pin.Model, notes: Annotations, where: str) -> None:
-    """Refuse moving bodies, with what is fixed to them, whose inertia no body has."""
+    """Reject moving bodies, with the links fixed to them, whose inertia no body can have."""
     for joint in range(1, model.njoints):
         body = model.inertias[joint]
         moments = np.linalg.eigvalsh(body.inertia) if np.isfinite(body.inertia).all() else np.full(3, np.inf)
@@ -296,7 +297,7 @@ def _check_bodies(model: pin.Model, notes: Annotations, where: str) -> None:
 
 
 def _locked(model: pin.Model, joints: list[str], where: str) -> pin.Model:
-    """Return the tree with these joints rigid at zero; what hangs on them joins the body before."""
+    """Return the tree with these joints fixed at zero; the bodies behind them are merged with the body before."""
     ids = [model.getJointId(j) for j in joints]
     several = next((j for j, k in zip(joints, ids, strict=True) if model.joints[k].nv != 1), None)
     if several is not None:
@@ -310,11 +311,11 @@ def _locked(model: pin.Model, joints: list[str], where: str) -> pin.Model:
 
 @contextmanager
 def _said_on_stderr() -> Iterator[list[str]]:
-    """Collect what a C++ library writes to the process' stderr; the list holds it after the block."""
+    """Capture the text that a C++ library writes to the process' stderr; the list holds it after the block."""
     said: list[str] = []
     try:
         kept = os.dup(2)
-    except OSError:  # closed: nothing can be said there
+    except OSError:  # closed: no message can be written there
         yield said
         said.append("")
         return
@@ -332,7 +333,7 @@ def _said_on_stderr() -> Iterator[list[str]]:
 def _actuated(
     model: pin.Model, notes: Annotations, wanted: Iterable[str] | None, passive: tuple[str, ...], where: str
 ) -> tuple[tuple[str, ...], list[str]]:
-    """Return the actuated joints in the tree's order, and what is doubtful about them."""
+    """Return the actuated joints in the tree's order, and warnings about them."""
     movable = [n for n in model.names[1:]]
     driven = [t.joint for t in notes.transmissions if t.joint not in notes.mimics]
     names = list(wanted) if wanted is not None else driven
@@ -365,7 +366,7 @@ def _actuated(
 
 
 def _resolve_mimics(model: pin.Model, notes: Annotations, actuated: tuple[str, ...], where: str) -> dict[str, Mimic]:
-    """Return the joints that follow an actuated one, or one that stands still, with what they follow in the end."""
+    """Return the joints that follow an actuated joint or a fixed one, with the joint that they finally follow."""
     found = {}
     for name in notes.mimics:
         leader, share, offset, seen = name, 1.0, 0.0, [name]
@@ -407,7 +408,7 @@ def _sum_friction(
 
 
 def _find_tool(model: pin.Model, notes: Annotations, wanted: str | None, where: str) -> str:
-    """Return the tool frame's name; empty where none was named and none is evident."""
+    """Return the tool frame's name; empty if no frame is named and no frame is evident."""
     if wanted is not None:
         if not model.existFrame(wanted):
             raise UnknownName("frame", wanted, [f.name for f in model.frames[1:]], where)
@@ -439,7 +440,7 @@ def _anchor(model: pin.Model, name: str, link: str, point: np.ndarray, where: st
 
 
 def _links(model: pin.Model, notes: Annotations) -> tuple[LinkInertia, ...]:
-    """Return the links that carry mass; of a file without any inertia all links, starting from zero."""
+    """Return the links with mass; all links, starting from zero, for a file without any inertia."""
     found, bodies = [], range(1, model.njoints)
     for i in [i for i in bodies if model.inertias[i].mass > 0] or bodies:
         link = notes.joints[model.names[i]]

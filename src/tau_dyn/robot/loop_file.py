@@ -1,10 +1,10 @@
-"""Loops, motors and joints of several freedoms that stand in a YAML file next to a URDF, as `example-parallel-robots` writes it.
+"""Loops, motors and joints of several freedoms from a YAML file next to a URDF, in the format of `example-parallel-robots`.
 
     closed_loop: [[frame_A, frame_B], ...]     links or joints, whose frames coincide
     type: ["3d", "6d", ...]                    their origins only, or their axes as well
     name_mot: [joint, ...]                     joints with a motor
     joint_name: [joint, ...]                   joints that the URDF draws as hinges
-    joint_type: [SPHERICAL, UJOINT_XY, FIXED]  what they are: about x, y, z; about two axes; none
+    joint_type: [SPHERICAL, UJOINT_XY, FIXED]  their true type: about x, y, z; about two axes; fixed
 
 All of it is written into the URDF text, so that every later step reads one file. Source: Gepetto/example-parallel-robots,
 `loader_tools.py`.
@@ -39,7 +39,7 @@ def find_loop_file(robot: Path) -> Path | None:
 
 
 def add_loops(urdf: str, path: Path) -> str:
-    """Return URDF text with what a loop file says.
+    """Return URDF text completed by the contents of a loop file.
 
     Args:
         urdf: Text of a plain URDF.
@@ -73,7 +73,7 @@ def add_loops(urdf: str, path: Path) -> str:
 
 
 def _read(path: Path) -> dict[str, list[Any]]:
-    """Return the lists of a loop file, as long as they must be."""
+    """Return the lists of a loop file, after a check of their lengths."""
     content = read_yaml(path)
     found = {key: content.get(key) or [] for key in _KEYS}
     unknown = [key for key in content if key not in _KEYS]
@@ -114,7 +114,7 @@ def _get_child(joint: Element) -> str:
 
 
 def _retype(root: Element, joint: Element, kind: str, path: Path) -> None:
-    """Write a joint as the hinges that it is, one after the other, the last with its name."""
+    """Write a joint as its hinges, one after the other, the last one with its name."""
     axes = "XYZ" if kind == "SPHERICAL" else kind.removeprefix("UJOINT_")
     if kind == "FIXED":
         joint.set("type", "fixed")

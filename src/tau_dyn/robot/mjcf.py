@@ -1,8 +1,8 @@
-"""From MJCF to the URDF that the rest reads: the same bodies and joints, loops, couplings and motors.
+"""Conversion of MJCF to URDF: the same bodies and joints, loops, couplings and motors.
 
-`connect` becomes one ball, `weld` three; `equality/joint` becomes `<mimic>`. `damping`, `frictionloss` and `armature` go where
-URDF has them. What MuJoCo calls passive forces (springs, gravity compensation, fluid) and contacts are no part of a rigid
-robot: they are left out, and those of joints are named. `mjcf_tree.py` has the bodies.
+`connect` becomes one ball, `weld` three; `equality/joint` becomes `<mimic>`. `damping`, `frictionloss` and `armature` become
+the elements of URDF. MuJoCo's passive forces (springs, gravity compensation, fluid) and contacts are not part of a rigid robot:
+they are left out, and those of joints are reported. `mjcf_tree.py` has the bodies.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from tau_dyn.robot.mjcf_file import Item, MjcfFile
 from tau_dyn.robot.mjcf_tree import MjcfTree, Place, format_numbers
 
 _DRAKE, _OURS = "http://drake.mit.edu", "urn:tau_dyn"
-_WELD_POINTS = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]])  # [m] any three off a line
+_WELD_POINTS = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]])  # [m] any three points off a line
 
 
 def convert_mjcf(text: str, path: Path) -> str:
@@ -27,10 +27,10 @@ def convert_mjcf(text: str, path: Path) -> str:
 
     Args:
         text: The file.
-        path: Where it lies; what it includes is looked for beside it.
+        path: Path of the file; included files are searched in its folder.
 
     Raises:
-        InputError: It holds what a rigid robot with a fixed base cannot have; the sentence names the element.
+        InputError: It has an element that a rigid robot with a fixed base cannot have; the message names the element.
     """
     file = MjcfFile(text, path)
     for prefix, space in (("drake", _DRAKE), ("tau_dyn", _OURS)):
@@ -94,7 +94,7 @@ def _drive(tree: MjcfTree) -> None:
 
 
 def _find_pulled(tree: MjcfTree, tendons: dict[str, Element], item: Item) -> str:
-    """Return the joint that a tendon's motor drives in the end; none, with a warning, where it pulls several."""
+    """Return the joint that a tendon's motor drives; empty, with a warning, if it drives several joints."""
     tendon = tendons.get(item.get("tendon"))
     if tendon is None or tendon.tag != "fixed":
         raise InputError("unsupported", f"{item.where}: tendon '{item.get('tendon')}' is not a fixed one, over joints")
@@ -178,7 +178,7 @@ def _list_points(tree: MjcfTree, item: Item, one: Place, other: Place) -> list[t
 
 
 def _place_home(tree: MjcfTree) -> None:
-    """Write the positions of the first keyframe called home, else of the first with positions, else those of the file."""
+    """Write the positions of the first keyframe called home, or of the first with positions, or those of the file."""
     keys = [tree.file.item(e) for e in tree.file.sections("keyframe") if e.get("qpos")]
     key = next((k for k in keys if k.get("name") == "home"), keys[0] if keys else None)
     count = sum(n for _, n in tree.positions)

@@ -1,4 +1,4 @@
-"""Mass, centre and inertia of MJCF bodies: as the file gives them, or of the shapes that they are drawn with."""
+"""Mass, centre and inertia of MJCF bodies: as given in the file, or computed from their shapes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _DENSITY = 1000.0  # [kg/m^3] MuJoCo's default, of water
 _FLAT = ("plane", "hfield")
 _NO_MASS = 1e-15  # [kg] below which MuJoCo leaves a shape out
 _SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3, "ellipsoid": 3}
-"""How many numbers of `size` each shape has; one less where its ends are given."""
+"""Number of entries of `size` for each shape; one fewer if its ends are given."""
 
 
 class BodyMass(NamedTuple):
@@ -35,21 +35,21 @@ class Geom(NamedTuple):
 
 
 def read_shape(item: Item, frame: Transform) -> Geom:
-    """Return a geom that stands in a frame of its body; a capsule's or cylinder's `size` is radius, radius, half length.
+    """Return a geom that is given in a frame of its body; a capsule's or cylinder's `size` is radius, radius, half length.
 
     Raises:
         InputError: Its size lacks a number.
     """
     kind = item.get("type", "sphere")
     if item.get("mesh") and kind != "mesh":
-        kind = "mesh"  # a primitive fitted to a mesh, whose size the mesh's file tells
+        kind = "mesh"  # a primitive fitted to a mesh, whose size is given by the mesh file
     if kind not in _SIZES:
         return Geom(item, kind, np.zeros(3), frame @ item.pose())
     pose, n = item.pose(), _SIZES[kind]
     given = np.abs(item.numbers("size", "0 0 0"))
     if item.get("fromto") and kind != "sphere":
         ends = item.numbers("fromto", "", 6)
-        along = ends[:3] - ends[3:]  # MuJoCo lays the shape's z axis so
+        along = ends[:3] - ends[3:]  # MuJoCo's direction of the shape's z axis
         length = float(np.linalg.norm(along))
         pose = Transform(turn_z_to(along / length) if length else np.eye(3), (ends[:3] + ends[3:]) / 2)
         given = np.array([*[given[0]] * (n - 1), length / 2])
@@ -59,7 +59,7 @@ def read_shape(item: Item, frame: Transform) -> Geom:
 
 
 def read_inertial(item: Item) -> BodyMass:
-    """Return what an `<inertial>` says.
+    """Return the inertia of an `<inertial>` element.
 
     Raises:
         InputError: A number is missing or negative.
@@ -76,10 +76,10 @@ def read_inertial(item: Item) -> BodyMass:
 
 
 def sum_shapes(shapes: Iterable[Geom], groups: tuple[float, float], where: str) -> BodyMass:
-    """Return the inertia of a body's shapes whose group lies in a range.
+    """Return the inertia of a body's shapes whose group is in a range.
 
     Raises:
-        InputError: A mesh has mass, which only its file could tell.
+        InputError: A mesh has mass, which only the mesh file could determine.
     """
     parts = [part for shape in shapes if (part := _weigh(shape, groups, where)) is not None]
     mass = sum(part.mass for part in parts)
@@ -90,7 +90,7 @@ def sum_shapes(shapes: Iterable[Geom], groups: tuple[float, float], where: str) 
 
 
 def bound_mass(body: BodyMass, least_mass: float, least_inertia: float, balance: bool) -> BodyMass:
-    """Return a body as the compiler's `boundmass`, `boundinertia` and `balanceinertia` change it."""
+    """Return a body after the compiler's `boundmass`, `boundinertia` and `balanceinertia`."""
     moments, axes = np.linalg.eigh(body.inertia)
     if balance and moments[2] > moments[0] + moments[1]:
         moments = np.full(3, moments.mean())

@@ -1,4 +1,4 @@
-"""An MJCF file as MuJoCo reads it: included files put in, defaults of classes filled in, angles in radians.
+"""An MJCF file as MuJoCo reads it: included files inserted, defaults of classes filled in, angles in radians.
 
 MuJoCo itself is not needed. Reference: MuJoCo's documentation, chapters "Modeling" and "XML reference".
 """
@@ -19,7 +19,7 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes
 from tau_dyn.robot.numbers import MAX_LEVELS, MAX_NUMBER, build_rotation, parse_numbers
 
-_MAX_BYTES = 32 * 2**20  # of an included file, as of any robot file
+_MAX_BYTES = 32 * 2**20  # largest size of an included file, as of any robot file
 _MAX_INCLUDED = 100  # files
 _MOTORS = "motor position velocity intvelocity damper cylinder muscle adhesion plugin dcmotor pid orientation".split()
 _TURNS = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
@@ -33,11 +33,11 @@ class Transform(NamedTuple):
     origin: np.ndarray
 
     def __matmul__(self, other: Transform) -> Transform:
-        """Return where a frame is that sits at `other` in this one."""
+        """Return the frame that is placed at `other` in this one."""
         return Transform(self.rotation @ other.rotation, self.rotation @ other.origin + self.origin)
 
     def place(self, point: np.ndarray) -> np.ndarray:
-        """Return where a point (3,) of this frame is."""
+        """Return a point (3,) of this frame in the outer one."""
         return self.rotation @ point + self.origin
 
     def invert(self) -> Transform:
@@ -53,12 +53,12 @@ class MeshAsset(NamedTuple):
 
 
 STILL = Transform(np.eye(3), np.zeros(3))
-"""A frame in itself."""
+"""The identity transform."""
 
 
 @dataclass(frozen=True)
 class Item:
-    """An element with its class's defaults filled in; `where` begins sentences about it."""
+    """An element with its class's defaults filled in; `where` is the beginning of messages about it."""
 
     tag: str
     values: Mapping[str, str]
@@ -70,10 +70,10 @@ class Item:
         return self.values.get(key, default)
 
     def numbers(self, key: str, default: str, count: int | None = None) -> np.ndarray:
-        """Return an attribute's numbers; a fixed count, or any from one up.
+        """Return an attribute's numbers; a fixed count, or at least one.
 
         Raises:
-            InputError: It holds something else.
+            InputError: It has another count or is not numeric.
         """
         text = self.values.get(key, default)
         found = parse_numbers(text)
@@ -91,7 +91,7 @@ class Item:
         return value if self.compiler.get("angle", "degree") == "radian" else float(np.deg2rad(value))
 
     def limits(self, key: str, switch: str) -> np.ndarray | None:
-        """Return a range (2,), or None where it does not count."""
+        """Return a range (2,), or None if it is not in use."""
         said = self.get(switch, "auto")
         by_itself = self.compiler.get("autolimits", "true") != "false"
         if said == "false" or key not in self.values or (said != "true" and not by_itself):
@@ -100,7 +100,7 @@ class Item:
         return found if found[0] < found[1] else None
 
     def pose(self) -> Transform:
-        """Return where the file puts the element."""
+        """Return the pose of the element in the file."""
         return Transform(self._rotation(), self.numbers("pos", "0 0 0", 3))
 
     def _rotation(self) -> np.ndarray:
@@ -112,7 +112,7 @@ class Item:
         if key == "euler":
             return self._turn_by_euler(x)
         size = np.linalg.norm(x[:3] if key in ("axisangle", "xyaxes") else x)
-        if size < 1e-12:  # MuJoCo takes such a quaternion for no turn at all
+        if size < 1e-12:  # MuJoCo reads such a quaternion as the identity
             if key == "quat":
                 return np.eye(3)
             raise InputError("robot_structure", f"{self.where}: {key}='{self.get(key)}' has no direction")
@@ -141,18 +141,18 @@ class MjcfFile:
     """A file with its included ones.
 
     Attributes:
-        where: The file, as messages call it.
-        root: Its `<mujoco>`, inclusions put in.
+        where: The file's name in messages.
+        root: Its `<mujoco>` element, with included files inserted.
         compiler: Settings of all `<compiler>` elements, the last of each name.
-        defaults: By class and element, the attributes.
-        meshes: Meshes in files of their own, by name.
+        defaults: Attributes by class and element.
+        meshes: Meshes in separate files, by name.
     """
 
     def __init__(self, text: str, path: Path) -> None:
-        """Read a file's text and what it includes.
+        """Read a file's text and its included files.
 
         Raises:
-            InputError: An inclusion is not there, comes twice, or is no XML without entities.
+            InputError: An included file does not exist, is included twice, or is not XML without entities.
         """
         self.where, self.root = str(path), _parse(text, str(path))
         _include(self.root, path, self.where)
@@ -169,11 +169,11 @@ class MjcfFile:
         }
 
     def find_colour(self, geom: Item) -> np.ndarray | None:
-        """Return a geom's colour (4,), its own or its material's; None where it has none."""
+        """Return a geom's colour (4,), its own or its material's, or None."""
         return geom.numbers("rgba", "", 4) if "rgba" in geom.values else self._colours.get(geom.get("material"))
 
     def _read_mesh(self, element: Element) -> tuple[str, MeshAsset | None]:
-        """Return a mesh's name and place; none of what is no mesh, stands in the file itself or is moved in its frame."""
+        """Return a mesh's name and asset; None if it is not a mesh, is given in the file itself, or is moved in its frame."""
         item = self.item(element)
         path = PurePosixPath(item.get("file").replace("\\", "/"))
         if element.tag != "mesh" or not path.name or {"refpos", "refquat"} & set(item.values):
@@ -184,7 +184,7 @@ class MjcfFile:
         return item.get("name") or path.stem, MeshAsset(str(where), item.numbers("scale", "1 1 1", 3))
 
     def item(self, element: Element, child_class: str = "") -> Item:
-        """Return an element with the defaults of its class, or else of the class that its body gives its children."""
+        """Return an element with the defaults of its class, or otherwise of the class that its body gives its children."""
         own = dict(element.attrib)
         name = own.get("class") or child_class or _MAIN
         where = f"{self.where}: <{element.tag} name='{own.get('name', '')}'>"
@@ -232,7 +232,7 @@ def turn_about(axis: np.ndarray, angle: float) -> np.ndarray:
 
 
 def turn_z_to(direction: np.ndarray) -> np.ndarray:
-    """Return the shortest turn (3, 3) that brings z into a unit direction; half a turn about x where that is -z."""
+    """Return the smallest rotation (3, 3) of z to a unit direction; half a turn about x for -z."""
     axis, cosine = np.cross([0.0, 0.0, 1.0], direction), direction[2]
     size = np.linalg.norm(axis)
     if size < 1e-12:
@@ -241,7 +241,7 @@ def turn_z_to(direction: np.ndarray) -> np.ndarray:
 
 
 def _include(root: Element, file: Path, where: str) -> None:
-    """Replace each `<include>` by what its file holds, with paths from the outermost file."""
+    """Replace each `<include>` by the contents of its file, with paths relative to the outermost file."""
     seen, left = [file.resolve()], [(root, 0)]
     while left:
         element, level = left.pop()

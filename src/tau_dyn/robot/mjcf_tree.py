@@ -1,7 +1,7 @@
 """The bodies, joints and sites of an MJCF file as links and joints of a URDF, with a fixed base.
 
-A joint's frame sits at its anchor, with its body's axes. MuJoCo counts a joint from its `ref`, so a URDF joint's zero is turned
-back by it and positions mean the same in both. A passive ball joint becomes three hinges.
+A joint's frame is at its anchor, with its body's axes. MuJoCo counts a joint's position from its `ref`, so the zero of the URDF
+joint is shifted back by `ref`, and positions mean the same in both. A passive ball joint becomes three hinges.
 """
 
 from __future__ import annotations
@@ -19,32 +19,32 @@ from tau_dyn.robot.numbers import MAX_LINKS, compute_rpy
 
 _GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2] Pinocchio's
 _SHOWN_GROUPS = 2  # up to which MuJoCo's viewer shows geoms; collision shapes are usually in group 3
-_ENDLESS = 1e12  # [m] a slide's limit where it has none
+_ENDLESS = 1e12  # [m] limit of a slide without limits
 _NOT_READ = ("replicate", "composite", "flexcomp", "attach")
-_ROUNDED = 1e-9  # of a coefficient that is meant to be zero
+_ROUNDED = 1e-9  # tolerance of a coefficient that is meant to be zero
 
 
 class MjcfJoint:
-    """A hinge or slide: its item, its URDF element, and what motors and equations add to it.
+    """A hinge or slide: its MJCF item, its URDF element, and the data that motors and equations add to it.
 
     Attributes:
-        item: As the file has it.
+        item: The element in the file.
         element: Its `<joint>` in the URDF.
         armature: [kg or kg m^2].
-        reference: Its position where the file draws it [m or rad].
-        effort: Limit of its force [N or N m], zero for none.
+        reference: Its position in the pose of the file [m or rad].
+        effort: Limit of its force [N or N m]; zero if unlimited.
         driven: Whether a motor drives it.
     """
 
     def __init__(self, item: Item, element: Element, armature: float, reference: float, effort: float = 0.0) -> None:
-        """Begin with what the joint's own element says."""
+        """Begin with the values of the joint's own element."""
         self.item, self.element, self.armature, self.reference, self.effort = item, element, armature, reference, effort
         self.driven = False
 
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A body or site: its link, its frame in that link's, and in the world where all joints are at their reference."""
+    """A body or site: its link, its frame in that link's frame, and in the world with all joints at their reference."""
 
     link: str
     inside: Transform
@@ -53,18 +53,18 @@ class Place:
 
 
 class MjcfTree:
-    """Builds the links of one file; what it leaves out it says.
+    """Builds the links of one file and reports the elements that it leaves out.
 
     Attributes:
         file: The file.
         root: The URDF's `<robot>`.
         joints: Hinges and slides by name.
-        bodies: By name, the world included.
-        sites: By name.
-        positions: The joints in the order of MuJoCo's `qpos`, and how many numbers each has there.
-        said: Sentences about what is read otherwise.
+        bodies: Bodies by name, the world included.
+        sites: Sites by name.
+        positions: The joints in the order of MuJoCo's `qpos`, with their number of entries.
+        said: Sentences about elements that are read with another meaning.
         free: Bodies with a free joint.
-        left_out: What is left out, and of which joints or bodies.
+        left_out: Elements that are left out, with their joints or bodies.
     """
 
     def __init__(self, file: MjcfFile, root: Element) -> None:
@@ -109,7 +109,7 @@ class MjcfTree:
         """Return a hinge or slide that moves.
 
         Raises:
-            InputError: There is none of this name.
+            InputError: There is no moving joint of this name.
         """
         if name not in self.joints:
             raise InputError(
@@ -119,7 +119,7 @@ class MjcfTree:
         return self.joints[name]
 
     def read_polynomial(self, item: Item) -> tuple[float, float]:
-        """Return constant and slope of one joint's position over another's; further terms are refused."""
+        """Return constant and slope of one joint's position over another's; further terms raise."""
         polynomial = item.numbers("polycoef", "0 1 0 0 0")
         if np.abs(polynomial[2:]).max(initial=0.0) > _ROUNDED:
             raise InputError(
@@ -150,7 +150,7 @@ class MjcfTree:
                     raise InputError("unsupported", f"{where}: <{tag} '{name}'> is not read; write its bodies out")
 
     def _inside(self, element: Element, frame: Transform, child_class: str) -> Iterator[tuple[Element, Transform, str]]:
-        """Yield the elements in a body, with the `<frame>` that each stands in and its class."""
+        """Yield the elements of a body, each with the `<frame>` that contains it and its class."""
         for child in element:
             if child.tag == "frame":
                 item = self.file.item(child, child_class)
@@ -174,7 +174,7 @@ class MjcfTree:
         last = len([1 for _, kind, *_ in rows if kind])
         for joint, kind, anchor, axis in rows:
             reference = self._read_reference(joint, kind)
-            if not kind:  # held where an equation puts it
+            if not kind:  # fixed at the position of an equation
                 inside = inside @ _move(
                     joint.get("type", "hinge"), anchor, axis, self._locked[joint.get("name")] - reference
                 )
@@ -200,7 +200,7 @@ class MjcfTree:
     def _list_joints(
         self, element: Element, frame: Transform, child_class: str, body: str
     ) -> list[tuple[Item, str, np.ndarray, np.ndarray]]:
-        """Return a joint as hinges and slides: item, kind (none for one held still), anchor and axis in the body's frame."""
+        """Return a joint as hinges and slides: item, kind (empty for a fixed one), anchor and axis in the body's frame."""
         item = self.file.item(element, child_class)
         kind = "free" if element.tag == "freejoint" else item.get("type", "hinge")
         name = item.get("name") or f"{body}_joint{len(self.positions) + 1}"
@@ -296,7 +296,7 @@ class MjcfTree:
             self.left_out.setdefault("gravity compensation of bodies", []).append(item.get("name"))
 
     def _draw(self, link: Element, shape: Geom, inside: Transform) -> None:
-        """Add a shape to a link's picture; URDF has no capsule, whose tube alone is drawn, and no ellipsoid."""
+        """Add a shape to a link's visuals; URDF has no capsule, of which only the tube is drawn, and no ellipsoid."""
         group, pose = int(shape.item.number("group", 0.0)), inside @ shape.pose
         mesh = self.file.meshes.get(shape.item.get("mesh")) if shape.kind == "mesh" else None
         if group > _SHOWN_GROUPS or (mesh is None and shape.kind not in ("box", "sphere", "cylinder", "capsule")):
@@ -327,14 +327,14 @@ class MjcfTree:
         self.sites[name] = Place(place.link, place.inside @ pose, place.world @ pose)
 
     def _own(self, name: str) -> str:
-        """Return a link's name that no joint and no other link has."""
+        """Return a unique name of a link, which no joint and no other link has."""
         while name in self._names:
             name = f"{name}_link"
         self._names.add(name)
         return name
 
     def _find_locked(self) -> None:
-        """Find the joints that an equation holds still."""
+        """Find the joints that an equation fixes."""
         held = {
             item.get("joint1"): self.read_polynomial(item)[0]
             for item in self.list_equations("joint")
@@ -364,5 +364,5 @@ def _move(kind: str, anchor: np.ndarray, axis: np.ndarray, position: float) -> T
 
 
 def format_numbers(values: float | Iterable[float]) -> str:
-    """Return numbers as a file holds them, to the last digit."""
+    """Return numbers as text with all digits."""
     return " ".join(repr(float(x)) for x in np.ravel(np.asarray(values, float)))

@@ -1,9 +1,9 @@
-"""The names and numbers of a robot file's tree, checked before anybody reads them.
+"""Checks of the names and numbers of a robot file's tree, before it is read.
 
-The parser that Pinocchio uses drops a whole `<inertial>` that it cannot read and goes on with a link without mass; a NaN passes
-through it into every force. It also reads numbers otherwise than Python does, which takes `8_0` for eighty.
+The parser that Pinocchio uses drops a whole `<inertial>` that it cannot read and continues with a link without mass; a NaN
+passes through it into every force. It also reads numbers differently from Python, which reads `8_0` as eighty.
 
-Rotations as robot files write them, and as Pinocchio's reader takes them: roll, pitch and yaw about fixed axes.
+Rotations in the convention of robot files and of Pinocchio's reader: roll, pitch and yaw about fixed axes.
 """
 
 from __future__ import annotations
@@ -25,17 +25,18 @@ _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _LIMITED = ("revolute", "prismatic")
 
 MAX_NUMBER = 1e12
-"""Size of masses, inertias and places [kg, kg m^2, m]; squares and sums of larger ones overflow. Limits may be larger: none."""
+"""Bound of masses, inertias and positions [kg, kg m^2, m]; squares and sums of larger ones overflow. A larger limit means no
+limit."""
 
 MAX_LEVELS = 100
-"""Levels of a robot file; parsers go down one call a level."""
+"""Largest number of levels of a robot file; parsers recurse by one call per level."""
 
 MAX_LINKS = 1000
-"""Links of a robot; Pinocchio's tables grow with their square."""
+"""Largest number of links of a robot; Pinocchio's tables grow with their square."""
 
 
 def check_depth(document: Document, where: str) -> None:
-    """Refuse a file with elements so deep inside each other that a parser would use up its stack.
+    """Reject a file with elements nested so deeply that a parser would overflow its stack.
 
     Raises:
         InputError: It names the file.
@@ -44,7 +45,7 @@ def check_depth(document: Document, where: str) -> None:
 
 
 def check_tree(root: Element, where: str) -> None:
-    """Refuse a tree too deep or of too many links, as `check_depth` does for a document.
+    """Reject a tree that is too deep or has too many links, as `check_depth` does for a document.
 
     Raises:
         InputError: It names the file.
@@ -68,9 +69,9 @@ def _refuse_deep(root: Any, children: Callable[[Any], Iterable[Any]], where: str
 
 
 def check_parents(root: Element, where: str) -> None:
-    """Refuse links with two parents, and links that hang on themselves.
+    """Reject links with two parents, and links that are their own ancestors.
 
-    The parser builds a joint twice for the one and forgets the other, mass and all, in silence.
+    For the first, the parser builds a joint twice; it drops the second, with their mass, without a message.
 
     Raises:
         InputError: It names the link and its joints.
@@ -103,14 +104,14 @@ def check_parents(root: Element, where: str) -> None:
 
 
 def check_names(elements: Iterable[Any], where: str) -> None:
-    """Refuse names that do not fit on a line: they head columns of logs and stand in sentences.
+    """Reject names that do not fit on a line: they are column headings of logs and parts of messages.
 
     Args:
-        elements: Of an ElementTree or of a minidom document.
+        elements: Elements of an ElementTree or of a minidom document.
         where: The file.
 
     Raises:
-        InputError: It shows the name.
+        InputError: The message shows the name.
     """
     for element in elements:
         name = element.get("name") if isinstance(element, Element) else element.getAttribute("name")
@@ -123,10 +124,10 @@ def check_names(elements: Iterable[Any], where: str) -> None:
 
 
 def check_numbers(root: Element, where: str) -> None:
-    """Refuse masses, inertias, origins, axes and limits that are missing, not finite numbers, or of no joint.
+    """Reject masses, inertias, origins, axes and limits that are missing, not finite, or impossible for a joint.
 
     Raises:
-        InputError: The message names the link or joint, the element and what it must hold.
+        InputError: The message names the link or joint, the element and the values it must have.
     """
     for link in root.findall("link"):
         for inertial in link.findall("inertial"):
@@ -161,15 +162,15 @@ def _check_joint(joint: Element, place: str) -> None:
 
 
 def check_inertia(mass: float, moments: Iterable[float], place: str) -> None:
-    """Refuse an inertia that no body has: a principal moment is at least zero, and at most the sum of the other two.
+    """Reject an inertia that no body can have: each principal moment is at least zero, and at most the sum of the other two.
 
     Args:
         mass: [kg].
         moments: The three principal moments about the centre [kg m^2].
-        place: What the sentence begins with.
+        place: Beginning of the message.
 
     Raises:
-        InputError: It says the moments.
+        InputError: The message states the moments.
     """
     low, middle, high = sorted(moments)
     remedy = "correct them, or accept them as fitted with --fitted-inertias"
@@ -184,8 +185,8 @@ def check_inertia(mass: float, moments: Iterable[float], place: str) -> None:
         raise InputError("robot_structure", f"{said}, and its mass is zero; give it one")
 
 
-_ROUNDING = 0.01  # what files with two digits may be off by
-_NO_MOMENT = 1e-9  # [kg m^2] that of a grain
+_ROUNDING = 0.01  # error of files with two digits
+_NO_MOMENT = 1e-9  # [kg m^2] inertia of a grain
 
 
 def _check(
@@ -215,7 +216,7 @@ def _check(
 
 
 def parse_numbers(text: str) -> tuple[float, ...]:
-    """Return the numbers that a text lists between blanks; none where one word is no number in every program's eyes."""
+    """Return the numbers of a text, separated by blanks; empty if a word is not a number to every program."""
     words = [word for word in re.split(r"[ \t\r\n]+", text) if word]
     return tuple(map(float, words)) if all(map(_NUMBER.fullmatch, words)) else ()
 
@@ -233,7 +234,7 @@ def build_rotation(rpy: Sequence[float] | np.ndarray) -> np.ndarray:
 
 
 def compute_rpy(rotation: np.ndarray) -> np.ndarray:
-    """Return roll, pitch and yaw [rad] of a rotation (3, 3), as accurate beside a pitch of 90 degrees as elsewhere."""
+    """Return roll, pitch and yaw [rad] of a rotation (3, 3), equally accurate near a pitch of 90 degrees."""
     yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
     pitch = np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0]))
     c, s = np.cos(yaw), np.sin(yaw)

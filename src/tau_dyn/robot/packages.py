@@ -1,13 +1,13 @@
-"""Where ROS packages lie: what `$(find NAME)` and `package://NAME` mean on a machine with or without ROS.
+"""Folders of ROS packages: the meaning of `$(find NAME)` and `package://NAME` on a machine with or without ROS.
 
-Looked for in this order: folders given by hand; the folders around the file, up to a `package.xml` and beside it; those of
-AMENT_PREFIX_PATH, CMAKE_PREFIX_PATH and ROS_PACKAGE_PATH; packages that pip installed. Nothing is imported and no program
-is called.
+Packages are searched in this order: folders given by the user; the parent folders of the file, up to a `package.xml`, and the
+folders next to that; those of AMENT_PREFIX_PATH, CMAKE_PREFIX_PATH and ROS_PACKAGE_PATH; packages that pip installed. Nothing
+is imported and no program is called.
 
-Robots of other people's packages by name: `example-robot-data` (`ur5`) and `robot_descriptions` (`ur5e_description`).
+Robots of other packages are found by name: `example-robot-data` (`ur5`) and `robot_descriptions` (`ur5e_description`).
 
-The second clones repositories when one of its modules is imported. Here none is: a module's text says which file of which
-repository it means, and the robot is there where that repository is in the cache.
+`robot_descriptions` clones repositories when one of its modules is imported, so it is not imported here: the module's text
+names the repository and the file, and the robot is available if that repository is in the cache.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ def find_package(name: str, near: Path, given: Mapping[str, str | Path] | None =
 
     Args:
         name: The package's name.
-        near: The robot file that asks for it.
-        given: Folders by package name, which count first.
+        near: The robot file that refers to it.
+        given: Folders by package name, which are searched first.
 
     Raises:
-        InputError: It is nowhere; the sentence says how to name its folder.
+        InputError: It is not found; the message explains how to give its folder.
     """
     if given and name in given:
         folder = Path(given[name])
@@ -58,7 +58,7 @@ def find_package(name: str, near: Path, given: Mapping[str, str | Path] | None =
 
 
 def resolve_mesh(name: str, near: Path, given: Mapping[str, str | Path] | None = None) -> Path | None:
-    """Return the file that a mesh's `filename` means, or None where it is not there.
+    """Return the file that a mesh's `filename` denotes, or None if it does not exist.
 
     Args:
         name: A path, `file://...`, `package://NAME/...` or `model://NAME/...`.
@@ -71,7 +71,7 @@ def resolve_mesh(name: str, near: Path, given: Mapping[str, str | Path] | None =
     elif scheme == "file":
         path = Path(rest)
     else:
-        package, _, inside = rest.lstrip("/").partition("/")  # some files have a slash too many
+        package, _, inside = rest.lstrip("/").partition("/")  # some files have an extra slash
         try:
             path = find_package(package, near, given) / inside
         except InputError:
@@ -129,12 +129,12 @@ def _read_name(manifest: Path) -> str:
 
 
 _PATHS = ("URDF_PATH", "XACRO_PATH", "MJCF_PATH")
-"""Names by which a description's module gives its robot file, the first that it has counts."""
+"""Names of a description module's variables for its robot file; the first existing one is used."""
 
 
 @dataclass(frozen=True)
 class StockRobot:
-    """A robot file and the xacro arguments and package folders that it needs."""
+    """A robot file with the xacro arguments and package folders that it needs."""
 
     path: Path
     arguments: Mapping[str, str] = field(default_factory=dict)
@@ -143,7 +143,7 @@ class StockRobot:
 
 @cache
 def list_stock_robots() -> dict[str, Path]:
-    """Return the robots of the installed package `example-robot-data`: name -> file; empty where it is not installed."""
+    """Return the robots of the installed package `example-robot-data`: name -> file; empty if it is not installed."""
     found: dict[str, Path] = {}
     try:
         listed = files_of("example-robot-data") or ()
@@ -152,13 +152,13 @@ def list_stock_robots() -> dict[str, Path]:
     urdfs = [file for file in listed if file.suffix == ".urdf" and "robots" in file.parts]
     for file in sorted(
         urdfs, key=lambda file: not file.stem.endswith("_robot")
-    ):  # ur3.urdf beside ur3_robot.urdf is a part
+    ):  # ur3.urdf next to ur3_robot.urdf is a part
         found.setdefault(file.stem.removesuffix("_robot"), Path(str(file.locate())))
     return found
 
 
 def find_described_robot(name: str) -> StockRobot | None:
-    """Return a robot of `robot_descriptions`, or None where that or its cache does not hold one of this name."""
+    """Return a robot of `robot_descriptions`, or None if the package or its cache has no robot of this name."""
     if not re.fullmatch(r"\w+_description", name):
         return None
     package = PathFinder.find_spec("robot_descriptions")

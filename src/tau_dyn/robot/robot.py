@@ -1,9 +1,9 @@
 """A robot: Pinocchio's tree, the loops that close it, its actuated joints and its nominal parameters.
 
-Inertial parameters follow Pinocchio: `m, mcx, mcy, mcz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz` about the *joint frame's origin*, a
-set of ten for each movable joint's link; links fixed to it are merged in. A link may carry fewer: with
-`parameters="mass"` its centre and inertia follow its mass. Drive inertia (`<joint>.armature`) and mass that only gravity
-feels (`<link>.gravity_mass`) stand behind them. We wrap `pin.Model` and never decorate it.
+Inertial parameters follow Pinocchio: `m, mcx, mcy, mcz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz` about the *joint frame's origin*, a set
+of ten for each movable joint's link; links fixed to it are merged in. A link may carry fewer: with `parameters="mass"` its
+centre and inertia follow its mass. Drive inertia (`<joint>.armature`) and mass that only gravity acts on
+(`<link>.gravity_mass`) follow them. `Robot` wraps `pin.Model` and never decorates it.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from tau_dyn.robot.floating_base import ContactFrame
 INERTIAL = ("mass", "mx", "my", "mz", "ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 _UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
 NOT_GIVEN = "not given"
-"""Origin of a drive inertia that the robot file says nothing about."""
+"""Origin of a drive inertia that the robot file does not give."""
 NO_DRIVE = "no drive"
 """Origin of the drive inertia, zero, of a floating base's coordinates."""
 
 
 @dataclass(frozen=True, eq=False)
 class LinkInertia:
-    """A link's ten inertial numbers, and which of them are parameters of their own.
+    """A link's ten inertial numbers, and which of them are separate parameters.
 
     Attributes:
         link: Link name.
@@ -52,7 +52,7 @@ class LinkInertia:
 
     @property
     def map(self) -> np.ndarray:
-        """`d pi / d own parameters` (10, n_own)."""
+        """Jacobian `d pi / d own parameters` (10, n_own)."""
         matrix = np.zeros((10, len(self.own)))
         matrix[list(self.own), range(len(self.own))] = 1.0
         tied = [k for k in range(10) if k not in self.own]
@@ -85,24 +85,24 @@ class Robot(Shown):
         home: Actuated positions in the middle of the workspace (na,) [m or rad].
         links: The links that carry mass.
         parameters: Nominal parameters, in the regressor's column order.
-        arms: For a simplified Gantry-Tau its three arms, else empty.
-        plate: For a simplified Gantry-Tau its plate link, else ''.
-        assumed: What the file says is assumed.
-        warnings: Sentences about doubtful input.
-        springs: Joints that yield; `model` holds them locked at zero, `FlexibleModel` frees them.
+        arms: The three arms of a simplified Gantry-Tau, otherwise empty.
+        plate: The plate link of a simplified Gantry-Tau, otherwise ''.
+        assumed: Statements of the file about assumed values.
+        warnings: Warnings about the input, as sentences.
+        springs: Compliant joints; `model` has them locked at zero, `FlexibleModel` frees them.
         drive_springs: Springs between the drives and the links of actuated joints; rigid in `model`, free in `FlexibleModel`.
-        shared_drives: Pairs of joints that the file gives one transmission.
-        tool: Name of the tool frame; empty where the file has none.
+        shared_drives: Pairs of joints with a common transmission in the file.
+        tool: Name of the tool frame; empty if the file has no tool frame.
         drive_scales: Travel [m] of actuated slides per metre that their drives read, 1 for those not named; see `drive_scale`.
         passive_home: Positions of passive joints [m or rad] from which the loops are closed at home, zero for those not named;
             they choose the assembly mode.
-        mimics: Joints that follow an actuated one, directly or over others.
-        friction: What the file says of the actuated joints' friction, their followers' included.
-        gear_ratios: Motor turns a turn of actuated joints, or radians a metre of slides, where the file gives them.
-        packages: Folders of ROS packages by name in which meshes lie, before those that are found.
-        base_coordinates: Of a floating base, the six coordinates that place it. They are the first of `actuated`, as they are
-            measured like all others, and their forces are zero.
-        contacts: Of a floating base, what may touch the ground.
+        mimics: Joints that follow an actuated one, directly or through others.
+        friction: Friction of the actuated joints in the file, their followers' included.
+        gear_ratios: Motor turns per turn of actuated joints, or radians per metre of slides, if the file gives them.
+        packages: Folders of ROS packages with meshes, by name; they take precedence over those that are found.
+        base_coordinates: The six coordinates of a floating base. They are the first of `actuated`, as they are measured like
+            all others, and their forces are zero.
+        contacts: Links of a robot with a floating base that may touch the ground.
     """
 
     name: str
@@ -135,7 +135,7 @@ class Robot(Shown):
 
     @property
     def driven(self) -> tuple[str, ...]:
-        """Names of the joints with a motor: the actuated ones but for the coordinates of a floating base."""
+        """Names of the joints with a motor: the actuated ones except the coordinates of a floating base."""
         return self.actuated[len(self.base_coordinates) :]
 
     @property
@@ -174,11 +174,11 @@ class Robot(Shown):
 
     @property
     def drive_scale(self) -> np.ndarray:
-        """Travel of the tree's joints per reading of their drives `s` (na,): `x = s q`, hence `tau = s F`.
+        """Travel of the tree's joints per reading of their drives `s` (na,): `x = s q`, therefore `tau = s F`.
 
         Actuated coordinates are the readings: `q`, `v`, `a`, limits and home. Work is the same in both, `tau dq = F dx`, so a
-        drive that travels `s` times its reading shows `s` times the force on its slide. Friction and drive inertia are the
-        drive's own and count by its readings.
+        drive that travels `s` times its reading shows `s` times the force on its slide. Friction and drive inertia belong to
+        the drive and refer to its readings.
         """
         return np.array([self.drive_scales.get(joint, 1.0) for joint in self.actuated])
 
@@ -219,22 +219,22 @@ class Robot(Shown):
 
     @property
     def lower(self) -> np.ndarray:
-        """Lower position limits (na,) [m or rad], -inf for none."""
+        """Lower position limits (na,) [m or rad]; -inf if unlimited."""
         return self._position_limit(self.model.lowerPositionLimit, -np.inf)
 
     @property
     def upper(self) -> np.ndarray:
-        """Upper position limits (na,) [m or rad], inf for none."""
+        """Upper position limits (na,) [m or rad]; inf if unlimited."""
         return self._position_limit(self.model.upperPositionLimit, np.inf)
 
     @property
     def velocity_limit(self) -> np.ndarray:
-        """Speed limits (na,) [m/s or rad/s], inf for none."""
+        """Speed limits (na,) [m/s or rad/s]; inf if unlimited."""
         return _or_none(self.model.upperVelocityLimit[self.active_v])
 
     @property
     def effort_limit(self) -> np.ndarray:
-        """Force limits (na,) [N or N m], inf for none."""
+        """Force limits (na,) [N or N m]; inf if unlimited."""
         return _or_none(self.model.upperEffortLimit[self.active_v])
 
     @property
@@ -244,7 +244,7 @@ class Robot(Shown):
 
     @property
     def carrying_joints(self) -> tuple[str, ...]:
-        """The actuated joints between base and tool; without a tool those before the tree first forks."""
+        """The actuated joints between base and tool; without a tool, those before the first branch of the tree."""
         model = self.model
         if self.tool_frame is not None:
             joint = model.frames[self.tool_frame].parentJoint
@@ -259,19 +259,19 @@ class Robot(Shown):
         return tuple(name for name in self.actuated if name in chain)
 
     def require_fixed_base(self, what: str) -> None:
-        """Refuse a robot with a floating base where something cannot take one.
+        """Reject a robot with a floating base for a task that does not support one.
 
         Raises:
-            InputError: The base floats; `what` says what cannot take it.
+            InputError: The base floats; `what` names the task that does not support it.
         """
         if self.base_coordinates:
             raise InputError("unsupported", f"{self.source}: {what} is for robots with a fixed base")
 
     def require_unscaled_drives(self, what: str) -> None:
-        """Refuse a robot with a drive's scale where something cannot carry one.
+        """Reject a robot with a drive scale for a format or task that does not support one.
 
         Raises:
-            InputError: A drive has a scale; `what` says what cannot hold it.
+            InputError: A drive has a scale; `what` names the format or task that does not support it.
         """
         scaled = next((joint for joint, scale in self.drive_scales.items() if scale != 1.0), None)
         if scaled is not None:
@@ -288,7 +288,7 @@ class Robot(Shown):
         return replace(self, parameters=parameters)
 
     def untied(self, names: Iterable[str]) -> Robot:
-        """Return the robot with these inertial numbers as parameters of their own instead of following the mass."""
+        """Return the robot with these inertial numbers as separate parameters instead of following the mass."""
         wanted = {n for n in names if n not in self.parameters}
         possible = {f"{li.link}.{quantity}" for li in self.links for quantity in INERTIAL}
         for name in wanted - possible:
@@ -306,7 +306,7 @@ class Robot(Shown):
         return replace(self, links=tuple(links), parameters=Parameters([*inertial, *rest]))
 
     def model_with(self, parameters: Parameters) -> pin.Model:
-        """Return a Pinocchio model that carries these parameters' masses, inertias and drive inertias."""
+        """Return a Pinocchio model with the masses, inertias and drive inertias of these parameters."""
         model = self.model.copy()
         for link in self.links:
             model.inertias[link.joint_id] = _inertia(link.map @ parameters.select(link.names).values)
@@ -314,7 +314,7 @@ class Robot(Shown):
         for joint, index, scale in zip(self.actuated, self.active_v, self.drive_scale, strict=True):
             armature[index] = (
                 parameters[f"{joint}.armature"].value / scale**2
-            )  # by the joint's travel, as the tree counts
+            )  # per travel of the joint, as in the tree
         model.armature = armature
         return model
 
@@ -324,7 +324,7 @@ class Robot(Shown):
 
 
 def find_end_link(robot: Robot) -> LinkInertia | None:
-    """Return the link that carries the tool, or the only one on which nothing hangs; None where that is not one."""
+    """Return the link that carries the tool, or the only leaf of the tree; None if there is not exactly one."""
     by_joint = {link.joint_id: link for link in robot.links}
     if robot.tool_frame is not None:
         joint = int(robot.model.frames[robot.tool_frame].parentJoint)
@@ -351,23 +351,23 @@ def compute_inertia_matrix(pi: np.ndarray) -> np.ndarray:
 
 
 def _inertia(pi: np.ndarray) -> pin.Inertia:
-    """Return a body of ten inertial numbers; Pinocchio divides by the mass, which an estimate may find to be nothing."""
+    """Return a body of ten inertial numbers; Pinocchio divides by the mass, which an estimate may find to be zero."""
     if pi[0] == 0 and not pi[1:4].any():
         found = pin.Inertia.Zero()
         found.inertia = compute_inertia_matrix(
             pi
-        )  # its constructor takes no negative ones, which an estimate may find, too
+        )  # its constructor rejects negative masses, which an estimate may also find
         return found
     return pin.Inertia.FromDynamicParameters(pi)
 
 
 def _finite_or(values: np.ndarray, default: float) -> np.ndarray:
-    """Replace the huge numbers by which Pinocchio says 'no limit'."""
+    """Replace the huge numbers by which Pinocchio denotes 'no limit'."""
     values = np.asarray(values, float)
     return np.where(np.isfinite(values) & (np.abs(values) < 1e10), values, default)
 
 
 def _or_none(values: np.ndarray) -> np.ndarray:
-    """Return a speed or force limit; zero means that the file gives none."""
+    """Return a speed or force limit; zero means that the file gives no limit."""
     values = _finite_or(values, np.inf)
     return np.where(values > 0, values, np.inf)

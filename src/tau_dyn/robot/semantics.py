@@ -1,4 +1,4 @@
-"""What an SRDF says beyond a robot file: the joints that no motor drives."""
+"""Contents of an SRDF beyond the robot file: the joints that no motor drives."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from defusedxml.ElementTree import fromstring
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes
 
-_MAX_BYTES = 8 * 2**20  # of an SRDF; real ones have tens of kilobytes
+_MAX_BYTES = 8 * 2**20  # largest size of an SRDF; real ones have tens of kilobytes
 
 
 def find_srdf(robot: Path) -> Path | None:
-    """Return the SRDF beside a robot file, of the same name or the folder's only one."""
+    """Return the SRDF next to a robot file: the one of the same name, or the only one in the folder."""
     beside = robot.with_name(f"{robot.name.split('.')[0]}.srdf")
     return beside if beside.is_file() else None
 
@@ -24,7 +24,7 @@ def read_passive_joints(path: Path) -> tuple[str, ...]:
     """Return the joints that an SRDF calls passive.
 
     Raises:
-        InputError: The file is not there, no XML, or no SRDF.
+        InputError: The file does not exist, is not XML, or is not an SRDF.
     """
     try:
         root = fromstring(read_bytes(path, _MAX_BYTES), forbid_dtd=True)

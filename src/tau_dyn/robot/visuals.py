@@ -1,7 +1,7 @@
-"""What a robot file draws: boxes, cylinders, spheres and triangles, each in the frame of the joint that carries it.
+"""Shapes of a robot file: boxes, cylinders, spheres and triangles, each in the frame of the joint that carries it.
 
 A link without `<visual>` is drawn by its `<collision>`. Meshes are read by Coal, which comes with Pinocchio and reads STL, OBJ
-and Collada (.dae) with Assimp. A mesh that is not there or cannot be read costs the picture, never the answer.
+and Collada (.dae) with Assimp. If a mesh is missing or cannot be read, only the picture lacks it; results do not change.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from tau_dyn.robot.packages import resolve_mesh
 from tau_dyn.robot.robot import Robot
 
 _UNIT = re.compile(rb"<unit\b[^>]*\bmeter\s*=\s*[\"']([0-9.eE+-]+)[\"']")
-_HEAD_BYTES = 2**16  # of a Collada file, in which its <asset> stands
+_HEAD_BYTES = 2**16  # part of a Collada file that contains its <asset>
 MESH_SUFFIXES = (".stl", ".obj", ".dae")
 _MAX_LISTED = 3  # names of meshes in one sentence
 MAX_MESH_BYTES = 64 * 2**20
-"""[bytes] Of one mesh's file; a link of a stock arm has up to 2 MiB."""
+"""Largest size of one mesh file [bytes]; a link of a commercial arm has up to 2 MiB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +38,8 @@ class Mesh:
 
     Attributes:
         path: The file.
-        vertices: Scaled as the robot file says (n, 3) [m].
-        faces: Indices of vertices (m, 3), counted outwards.
+        vertices: Vertices (n, 3) [m], scaled as given in the robot file.
+        faces: Indices of vertices (m, 3), in order about the outward normal.
     """
 
     path: Path
@@ -49,14 +49,14 @@ class Mesh:
 
 @dataclass(frozen=True, eq=False)
 class Visual:
-    """A solid that the file draws.
+    """A solid shape of the file.
 
     Attributes:
-        name: Its link's, and its place among the link's.
+        name: Name of its link, with its number among the link's shapes.
         joint: Pinocchio's index of the joint that carries it; 0 for the world.
-        placement: In that joint's frame.
+        placement: Pose in that joint's frame.
         shape: Coal's box, cylinder or sphere, or triangles.
-        colour: Red, green, blue and opacity (4,) from 0 to 1, or None where the file says nothing.
+        colour: Red, green, blue and opacity (4,) from 0 to 1; None if the file has no colour.
     """
 
     name: str
@@ -67,7 +67,7 @@ class Visual:
 
 
 def read_visuals(robot: Robot) -> tuple[list[Visual], list[str]]:
-    """Return what the file draws, and the names of meshes that are not there or cannot be read."""
+    """Return the shapes of the file, and the names of meshes that are missing or cannot be read."""
     root = fromstring(robot.urdf, forbid_dtd=True)
     for link in root.findall("link"):
         if link.find("visual") is None:
@@ -79,14 +79,14 @@ def read_visuals(robot: Robot) -> tuple[list[Visual], list[str]]:
     for item in geometry.geometryObjects.tolist():
         shape = meshes[item.name] if item.name in meshes else item.geometry
         if shape is not None:
-            # a copy: its memory goes with the geometry
+            # a copy: its memory is freed with the geometry
             colour = np.array(item.meshColor, float) if item.overrideMaterial else None
             found.append(Visual(item.name, int(item.parentJoint), item.placement.copy(), shape, colour))
     return found, missing
 
 
 def _take_meshes(root: Element, robot: Robot) -> tuple[dict[str, Mesh | None], list[str]]:
-    """Put a small box in each mesh's place, so that Pinocchio opens no file; return the meshes by Pinocchio's names."""
+    """Replace each mesh by a small box, so that Pinocchio opens no file; return the meshes by Pinocchio's names."""
     found: dict[str, Mesh | None] = {}
     missing: list[str] = []
     read: dict[tuple[str, str], Mesh | None] = {}
@@ -110,12 +110,12 @@ def _take_meshes(root: Element, robot: Robot) -> tuple[dict[str, Mesh | None], l
 def _find_file(robot: Robot) -> Path:
     try:
         return find_robot(robot.source)
-    except TauDynError:  # a saved model's robot file may have gone
+    except TauDynError:  # a saved model's robot file may no longer exist
         return Path(robot.source)
 
 
 def list_missing_meshes(names: Sequence[str]) -> list[str]:
-    """Return a sentence about meshes that are not there; none where all are."""
+    """Return a list with a sentence about missing meshes; empty if all exist."""
     if not names:
         return []
     listed = ", ".join(names[:_MAX_LISTED]) + (" and more" if len(names) > _MAX_LISTED else "")
@@ -126,7 +126,7 @@ def list_missing_meshes(names: Sequence[str]) -> list[str]:
 
 
 def read_mesh(path: Path | None, scale: str = "1 1 1") -> Mesh | None:
-    """Return a mesh, or None where there is none that can be read."""
+    """Return a mesh, or None if no mesh can be read."""
     factors = parse_numbers(scale) or []
     if path is None or path.suffix.lower() not in MESH_SUFFIXES or len(factors) not in (1, 3):
         return None
@@ -145,7 +145,7 @@ def read_mesh(path: Path | None, scale: str = "1 1 1") -> Mesh | None:
 
 
 def _read_unit(path: Path) -> float:
-    """Return the unit [m] of a mesh's numbers: Collada says it and Assimp leaves it alone; elsewhere it is the metre."""
+    """Return the unit [m] of a mesh's numbers: Collada files state it, Assimp does not apply it; elsewhere it is the metre."""
     if path.suffix.lower() != ".dae":
         return 1.0
     with path.open("rb") as file:

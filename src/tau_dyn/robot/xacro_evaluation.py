@@ -1,12 +1,13 @@
-"""xacro in a copy of its own, in which an expression may say sums and conditions and nothing leads to Python itself.
+"""A private copy of xacro whose expressions may compute sums and conditions but have no access to Python itself.
 
-xacro evaluates `${...}` and `$(eval ...)` with Python's own `eval`, hides the builtins and looks at the outermost names for
-double underscores. That is no wall: a comprehension hides names from it, `vars(type)` and a generator's frame lead around it.
-Here the whole expression is looked at before xacro may evaluate it. Time and memory are not bounded, and a xacro may read
-files and the environment: docs/results/robustness.md lists what remains.
+xacro evaluates `${...}` and `$(eval ...)` with Python's own `eval`, hides the builtins and checks the outermost names for
+double underscores. That is not a safe barrier: a comprehension hides names from it, and `vars(type)` or a generator's frame
+bypass it. Here the whole expression is checked before xacro may evaluate it. Time and memory are not bounded, and a xacro may
+read files and the environment: docs/results/robustness.md lists the remaining risks.
 
-The copy is loaded from xacro's files under a name of ours and restricted once. So nobody else's xacro changes how ours evaluates,
-nor does ours theirs: not the functions, not the symbols, and not the tags of PyYAML's safe loader, to which xacro adds its units.
+The copy is loaded from xacro's files under a private module name and restricted once. So another user of xacro in the same
+process does not change this copy, and this copy does not change theirs: neither the functions, nor the symbols, nor the tags of
+PyYAML's safe loader, to which xacro adds its units.
 """
 
 from __future__ import annotations
@@ -31,19 +32,20 @@ _LOCK = threading.Lock()  # xacro keeps its state in module globals
 
 _FORBIDDEN = frozenset({"vars", "type", "format", "format_map", "mro"})
 _INSIDES = ("_", "gi_", "ag_", "cr_", "tb_", "f_", "co_", "func_")
-"""How attributes begin that lead into objects, generators, frames, code and functions."""
+"""Prefixes of attributes that give access to objects, generators, frames, code and functions."""
 
-_MAX_EXPONENT = 100  # of a constant power; larger ones only cost time and memory
+_MAX_EXPONENT = 100  # largest exponent of a constant power; larger ones only take time and memory
 
 MAX_CHARACTERS = 10_000
-"""Characters of an expression; the parser of longer ones may use up the stack."""
+"""Largest number of characters of an expression; longer ones may overflow the parser's stack."""
 
 
 def check_expression(text: str) -> None:
-    """Refuse an expression that reaches for more than values.
+    """Reject an expression that accesses more than values.
 
     Raises:
-        InputError: It names what leads to Python itself, or is longer than any sensible one. Bad syntax passes: xacro says it.
+        InputError: It names something that gives access to Python itself, or is too long to be sensible. Bad syntax passes:
+            xacro reports it.
     """
     if len(text) > MAX_CHARACTERS:
         raise InputError(
@@ -62,7 +64,7 @@ def check_expression(text: str) -> None:
 
 
 def _small(power: ast.expr) -> bool:
-    """Tell whether an exponent is written out and small: 9**9**9 would be computed to its last digit."""
+    """Return whether an exponent is a small literal: 9**9**9 would be computed to its last digit."""
     power = power.operand if isinstance(power, ast.UnaryOp) else power
     return isinstance(power, ast.Constant) and isinstance(power.value, int | float) and power.value <= _MAX_EXPONENT
 
@@ -85,14 +87,14 @@ def evaluate_xacro(
 
     Args:
         document: The parsed file.
-        path: Where it lies; included files and tables are looked for beside it.
+        path: Path of the file; included files and tables are searched in its folder.
         arguments: Values of its arguments, by name.
         parse: Parses an included file, named by `filename`.
         read_table: Returns the text of a YAML table that the file loads.
         find: Returns the folder of a ROS package.
 
     Raises:
-        InputError: An expression reaches for more than values.
+        InputError: An expression accesses more than values.
         Exception: Whatever an expression, a parser or a table raises.
     """
     with _LOCK:
@@ -106,15 +108,15 @@ def evaluate_xacro(
 
 @cache
 def _load_restricted_xacro() -> Any:
-    """Return a copy of xacro that evaluates only what `check_expression` lets pass, has no `vars` and `type`, and is silent."""
+    """Return a silent copy of xacro that evaluates only expressions accepted by `check_expression`, without `vars` and `type`."""
     installed = find_spec("xacro")
-    assert installed is not None and installed.origin is not None  # a requirement of this package
+    assert installed is not None and installed.origin is not None  # a dependency of this package
     own = spec_from_file_location(
         _NAME, installed.origin, submodule_search_locations=list(installed.submodule_search_locations or ())
     )
     assert own is not None and own.loader is not None
     xacro: Any = module_from_spec(own)
-    sys.modules[_NAME] = xacro  # where its own modules look for it
+    sys.modules[_NAME] = xacro  # its own modules import it from there
     own.loader.exec_module(xacro)
     substitution: Any = import_module(f"{_NAME}.substitution_args")
     xacro.safe_eval, substitution._eval = _after_check(xacro.safe_eval), _after_check(substitution._eval)
@@ -122,7 +124,7 @@ def _load_restricted_xacro() -> Any:
         setattr(xacro, said, lambda *text, **how: None)
 
     class TableLoader(yaml.SafeLoader):
-        """PyYAML's safe loader with xacro's units, in a table of its own."""
+        """PyYAML's safe loader with xacro's units, in a separate table."""
 
         yaml_constructors = yaml.SafeLoader.yaml_constructors.copy()
 
@@ -130,7 +132,7 @@ def _load_restricted_xacro() -> Any:
         TableLoader.add_constructor(unit.value.tag, unit.constructor)
 
     def load_yaml(filename: str) -> Any:
-        """Return a table as xacro wraps it; its units are expressions, in the file that stands on top of the stack."""
+        """Return a table as xacro wraps it; its units are expressions of the file on top of the stack."""
         found = xacro.abs_filename_spec(filename)
         text = xacro.read_table(found)
         xacro.filestack.append(found)

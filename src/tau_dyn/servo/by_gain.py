@@ -1,12 +1,12 @@
-"""Logs at several servo gains: what each gain's logs alone say of the drive, and what is missing where they disagree.
+"""Logs at several servo gains: estimates of the drive from the logs of each gain alone, and the missing effect if they disagree.
 
-The torque that a drive gives for its whole supply does not depend on the gain of the loop around it. Where fits at each
-gain alone find different torques, beyond their errors, the law is incomplete, however well each fit follows its own logs.
-Then what a law may lack is tried on all logs together, and the entry that explains most is named.
+The torque of a drive at full supply does not depend on the gain of the loop around it. If fits at each gain alone estimate
+significantly different torques, the law is incomplete, however well each fit follows its own logs. Then the entries that a law
+may lack are tested on all logs together, and the entry that explains most is named.
 
-Where searches in the loop begin: first values of causes, springs at resonances an octave apart, the best at each joint.
+Start values of searches in the loop: first values of causes, springs at resonances in octave steps, the best at each joint.
 
-Sums of squares of springs, plays and dead bands have several minima, so these begin at several places.
+Sums of squares of springs, plays and dead bands have several minima, so these searches start at several values.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ if TYPE_CHECKING:
 
 MISSING = {"drive_exponent": "a drive law that bends", "supply_sag": "a supply that sags", "dead_band": "a dead band",
            "carried_friction": "a friction that grows with the load"}  # fmt: skip
-"""Entries that a law may lack, tried where fits disagree."""
+"""Entries that a law may lack, tested if fits disagree."""
 DISAGREES = 3.3
-"""Difference over its standard error from which two fits disagree: one pair in a thousand by chance."""
+"""Difference of two fits over its standard error from which they disagree: one pair in a thousand by chance."""
 MIN_DIFFERENCE = 0.1  # relative; smaller differences change no simulation
 MIN_FALL = 0.08
-"""Fall of the residual's rms from which an entry is named as missing."""
+"""Relative decrease of the residual's rms from which an entry is named as missing."""
 _ITERATIONS = 10  # from a solution of all logs
 
 
 def compare_gains(
     data: LoopData, x: np.ndarray, progress: Callable[[str], None]
 ) -> tuple[tuple[dict[str, Any], ...], list[str]]:
-    """Return what each gain's logs alone say, row by row, and what is to be said of it."""
+    """Return the estimates from the logs of each gain alone, row by row, and the warnings about them."""
     gains = [tuple(r.entries["position_gain"]) for r in data.records]
     u = extend_unknowns(data.unknowns, x, ("force_per_unit",), data)
     rows, fits = [], []
@@ -81,7 +81,7 @@ def _count_disagreements(fits: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple
 
 
 def _name_missing(data: LoopData, x: np.ndarray, progress: Callable[[str], None]) -> str:
-    """Return which entry explains most of the residual of all logs, as the end of a sentence."""
+    """Return the entry that explains most of the residual of all logs, as the end of a sentence."""
     everything = range(len(data.records))
     plain = extend_unknowns(data.unknowns, x, ("force_per_unit",), data)
     before = fit_loop(_build_problem(data, plain, everything), max_iterations=_ITERATIONS).sigma
@@ -113,7 +113,7 @@ def extend_unknowns(u: LoopUnknowns, x: np.ndarray, kinds: Sequence[str], data: 
 
 
 def read_kind(u: LoopUnknowns, fit: LoopFit, kind: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the values (na,) of a kind, and their standard errors, zero where it is not free."""
+    """Return the values (na,) of a kind, and their standard errors, which are zero where it is fixed."""
     where = np.full(u.free.shape, -1)
     where[u.free] = np.arange(int(u.free.sum()))
     at, sigma = where[u.kinds.index(kind)], np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
@@ -134,16 +134,16 @@ _FIRST = {
     "supply_sag": 0.15,
     "drive_exponent": -0.1,
 }
-"""First changes of entries off their null."""
+"""First changes of entries from their null values."""
 _PROFILE = 20.0  # rad/s^2; half of the highest that Feetech's servos can be set to
 _FIRST_STICTION = 3e-3  # as a share of the loop's stiffness
 _PLAYS = (0.005, 0.03)  # rad; of gears, and of worn hobby servos
 DELAYS = (0.002, 0.008)  # s; a step of a servo's bus, and several
-_DEAD_BANDS = (0.006, 0.03)  # rad; Coulomb friction stands for a small part of a large one
+_DEAD_BANDS = (0.006, 0.03)  # rad; Coulomb friction imitates a small part of a large one
 RESONANCES_HZ = (2.0, 4.0, 8.0, 16.0, 32.0)
-"""Resonances of the link on its spring, the motor held, at which springs start, up to the log's Nyquist frequency."""
+"""Start resonances of springs, with the link on its spring and the motor fixed, up to the log's Nyquist frequency."""
 _DAMPING_RATIO = 0.05  # of a spring's start; of gears with elastic parts, 0.02 to 0.1
-_FEW = 0.1  # share of a rigid joint's viscous friction, and of the link's inertia as the drive's, with which springs start too
+_FEW = 0.1  # share of a rigid joint's viscous friction, and of the link's inertia as the drive's, with which springs also start
 
 
 def list_starts(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str) -> list[dict[str, np.ndarray]]:
@@ -158,7 +158,7 @@ def list_starts(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str) -> li
         springs = [
             {"joint_compliance": 1 / (inertia * w**2), "joint_damping": 2 * _DAMPING_RATIO * inertia * w} for w in turns
         ]
-        # what a rigid joint puts into friction and drive inertia to stand for a spring would lead its search astray
+        # the friction and drive inertia with which a rigid joint imitates a spring would mislead the spring's search
         heavy = {key: np.array(values[key]) for key in ("viscous", "armature")}
         light = {"viscous": _FEW * values["viscous"], "armature": np.maximum(values["armature"], _FEW * inertia)}
         return [spring | rest for rest in (heavy, light) for spring in springs]
@@ -181,7 +181,7 @@ def free_causes(
     chosen: Sequence[tuple[str, int]],
     starts: Mapping[str, Mapping[str, np.ndarray]],
 ) -> LoopUnknowns:
-    """Return the unknowns at a solution with causes free at their joints, off their null, where friction has a slope."""
+    """Return the unknowns at a solution with causes free at their joints, away from their null, where friction has a slope."""
     entries = list(dict.fromkeys(entry for cause, _ in chosen for entry in LOOP_CAUSES[cause].entries))
     wide = extend_unknowns(u, fit.x, entries, data)
     free, n = np.array(wide.free), len(u.kinds)
@@ -203,7 +203,7 @@ def start_best(
     starts: Mapping[str, Sequence[Mapping[str, np.ndarray]]],
     joints: Sequence[int],
 ) -> LoopUnknowns:
-    """Return the unknowns with causes free at joints, at the starts from which a few steps leave least at each joint."""
+    """Return the unknowns with causes free at joints, at the starts of least residual after a few steps at each joint."""
     places = [(cause, j) for cause in starts for j in joints]
     tried = [dict(zip(starts, one, strict=True)) for one in product(*starts.values())]
     kept = data.build_problem(u).keep_inertial(fit.x)
@@ -218,7 +218,7 @@ def start_best(
 
 
 def start_springs(data: LoopData, progress: Callable[[str], None]) -> LoopData:
-    """Return the data with unknowns at start values near a spring, where the law asks for one; else as they are."""
+    """Return the data with unknowns at start values near a spring if the law has one; otherwise unchanged."""
     if SPRING not in data.law.estimated:
         return data
     progress("springs from several starts")
@@ -235,7 +235,7 @@ def start_springs(data: LoopData, progress: Callable[[str], None]) -> LoopData:
     found = wide.with_values(fit_precisely(stiff.build_problem(wide), progress).x)
     values = {key: np.array(x) for key, x in data.unknowns.values.items()}
     values |= {key: found[key] for key in (*BASELINE, SPRING, "joint_damping") if key in values}
-    values["command_delay"] = np.array(data.law.values["command_delay"])  # the rigid screen's stands for the spring
+    values["command_delay"] = np.array(data.law.values["command_delay"])  # the rigid screen's delay imitates the spring
     for kind in ("load_friction", "stiction"):
         values[kind] = np.where(data.law.values[kind] > 0, values[kind], _FEW * values[kind])
     return replace(data, unknowns=replace(data.unknowns, values=values))

@@ -1,8 +1,8 @@
-"""Causes in the loop, tried one by one and taken in joint by joint: which entries of the law explain what is left.
+"""Search for causes in the loop, tested one by one and added joint by joint: the entries of the law that explain the residual.
 
-Every cause is fitted at all joints at once, with everything that is in already, because a joint's loop feels its own numbers
-alone. Its score is its number over that number's error from the scatter of blocks of time. The best one at each joint is
-taken in, in rounds; what a later one makes superfluous leaves again.
+Every cause is fitted at all joints at once, together with all causes already added, because a joint's loop depends on its own
+parameters alone. Its score is its value divided by the value's standard error from the scatter of blocks of time. The best one
+at each joint is added, in rounds; causes that a later one makes superfluous are removed.
 Reference: Liang & Zeger 1986 (blocks); Efroymson 1960 (forward and backward selection).
 """
 
@@ -20,28 +20,29 @@ from tau_dyn.servo.fit import LoopFit, count_worth, fit_loop
 from tau_dyn.servo.unknowns import LIMITS, LoopUnknowns, measure_change
 
 MIN_SCORE = 5.0
-"""Score from which a cause is taken in: one false one in 1,000 candidates where some 60 blocks count."""
+"""Score from which a cause is added: one false cause in 1,000 candidates with about 60 blocks."""
 MIN_CHANGE = 0.05
-"""Change of a number that the law gives, from which it is a cause: masses are trusted to 2 %, so a gain to twice that."""
+"""Relative change of a value of the law from which it is a cause: masses are trusted to 2 %, so a gain to twice that."""
 MIN_SHARE = 0.03
-"""Share of a joint's residual variance that a cause takes off at least; less changes no simulation."""
+"""Least share of a joint's residual variance that a cause explains; less does not change a simulation."""
 TWIN_SHARE = 0.95
-"""Share of what the best cause takes off from which another one is indistinguishable from it here."""
+"""Share of the best cause's reduction of the residual from which another cause is indistinguishable from it here."""
 APART = 9.0
-"""Likelihood ratio, twice its logarithm, from which one of two causes is told from the other: three standard errors."""
-MAX_ROUNDS = 4  # causes at one joint; each takes off at least 3 %, and joints may wait for each other
+"""Twice the log-likelihood ratio from which two causes are distinguished: three standard errors."""
+MAX_ROUNDS = 4  # causes at one joint; each explains at least 3 %, and joints may wait for each other
 RIVAL_SHARE = 0.5
-"""Share of what the best cause takes off, or of the least that counts, from which another one may be the best."""
+"""Share of the best cause's reduction of the residual, or of the least significant one, from which another cause may be the
+best."""
 TOGETHER = 0.5
-"""Share of what the best cause takes off of its joint's residual from which other joints' causes are taken in with it. The rest
-wait, as what a joint misses shakes its neighbours."""
+"""Share of the best cause's reduction of its joint's residual from which other joints' causes are added with it. The rest wait,
+as the model error of a joint disturbs its neighbours."""
 WHITE_LAGS = 20  # samples over which residuals are compared
 _CHANCE = 4.0  # standard errors of an autocorrelation
 MAIN_SHARE = 0.5
-"""Share of a joint's residual variance from which a cause counts, however uncertain its number: on a ridge with others, such as
-gain and mass, or far from its end, a number moves without a change of the simulation."""
+"""Share of a joint's residual variance from which a cause is kept even if its value is uncertain: on a ridge with others, such
+as gain and mass, or far from its limit, a value changes without effect on the simulation."""
 POWER_Z = 1.645
-"""Standard errors above the threshold that a number must have to be found in 95 of 100 logs."""
+"""Standard errors above the threshold at which a value is found in 95 of 100 logs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +50,9 @@ class TriedCause:
     """A cause tried at all joints.
 
     Attributes:
-        score: How far each number is from its null value in standard errors (na,); zero where it is in already.
-        share: Share of the residual variance that it takes off (na,).
-        start: Values that the best search of each joint began with, by entry (na,).
+        score: Distance of each value from its null in standard errors (na,); zero where the cause is already added.
+        share: Share of the residual variance that it explains (na,).
+        start: Start values of the best search of each joint, by entry (na,).
     """
 
     score: np.ndarray
@@ -64,9 +65,9 @@ class LoopSearch:
     """The end of a search.
 
     Attributes:
-        unknowns: Those of the extended model.
+        unknowns: Unknowns of the extended model.
         fit: Their fit.
-        taken: Cause and joint -> score, and causes that explain the same here.
+        taken: Cause and joint -> score, and indistinguishable causes.
     """
 
     unknowns: LoopUnknowns
@@ -75,7 +76,7 @@ class LoopSearch:
 
 
 def search_causes(data: LoopData, base: LoopFit, progress: Callable[[str], None]) -> LoopSearch:
-    """Return the model extended by what explains the residual of a baseline's fit."""
+    """Return the model extended by the causes that explain the residual of a baseline's fit."""
     u, fit = data.unknowns, base
     taken: dict[tuple[str, int], tuple[float, tuple[str, ...]]] = {}
     refused: set[tuple[str, int]] = set()
@@ -123,19 +124,19 @@ def search_causes(data: LoopData, base: LoopFit, progress: Callable[[str], None]
 def check_steps(
     data: LoopData, base: LoopFit, search: LoopSearch, progress: Callable[[str], None]
 ) -> tuple[LoopFit, LoopSearch]:
-    """Return baseline and extended model fitted again to data with exact loads and steps.
+    """Return baseline and extended model, fitted again to data with exact loads and steps.
 
-    A cause that stood for an error of these is superfluous beside them.
+    A cause that compensated an error of loads or steps is superfluous with exact ones.
     """
     u, again, taken = search.unknowns, search.fit, dict(search.taken)
     if not taken:
         fine = _refit_baseline(data, base, search, progress)
         return fine, replace(search, unknowns=data.unknowns, fit=fine)
-    if not replace(data, unknowns=u).is_shaken:  # that fit is of exact motions already
+    if not replace(data, unknowns=u).is_shaken:  # that fit already uses exact motions
         again = refit_again(data.build_problem(u), search.fit, progress)
     u, again, _ = _drop_superfluous(data, u, again, taken, progress)
     for cause, j in sorted(taken, key=lambda place: taken[place][0]):
-        if sum(k == j for _, k in taken) > 1:  # what others leave of it may be less than what it took off without them
+        if sum(k == j for _, k in taken) > 1:  # with the others, it may explain less than without them
             found = _take_out(data, u, again, (cause, j), MIN_SHARE, progress)
             if found is not None:
                 u, again = found
@@ -145,9 +146,9 @@ def check_steps(
 
 
 def _refit_baseline(data: LoopData, base: LoopFit, search: LoopSearch, progress: Callable[[str], None]) -> LoopFit:
-    """Return the baseline's fit, again from its end and from the extended model's without causes: the one that leaves less.
+    """Return the baseline's fit, restarted at its end and at the extended model's without causes: the one of smaller residual.
 
-    A cause's gain is held against the best that can be had without it, not against the end of a search that was stuck.
+    A cause's gain is compared with the best fit without it, not with the end of a search that was stuck.
     """
     fine = refit_again(data.build_problem(), base, progress)
     if search.unknowns is data.unknowns:
@@ -158,10 +159,10 @@ def _refit_baseline(data: LoopData, base: LoopFit, search: LoopSearch, progress:
 
 
 def part_twins(data: LoopData, search: LoopSearch, progress: Callable[[str], None]) -> LoopSearch:
-    """Return the search with each cause that has twins replaced by the best of them, and the twins that stay as good as it.
+    """Return the search with each cause replaced by the best of its indistinguishable alternatives, and the other alternatives.
 
-    Two causes are told apart where the likelihood ratio of the joint's residual, whose samples count as far as they are
-    independent, is beyond three standard errors.
+    Two causes are distinguished if the likelihood ratio of the joint's residual, with the effective number of independent
+    samples, exceeds three standard errors.
     """
     for cause, j in list(search.taken):
         score, twins = search.taken[cause, j]
@@ -183,7 +184,7 @@ def part_twins(data: LoopData, search: LoopSearch, progress: Callable[[str], Non
         count = _count_independent(data, u, fit, j)
         ratio = {c: count * 2 * np.log(one.sigma[j] / fit.sigma[j]) for c, (_, one) in tried.items()}
         same = tuple(c for c in tried if c != best and ratio[c] < APART)
-        first = next(c for c in LOOP_CAUSES if c == best or c in same)  # the table begins with what is met most often
+        first = next(c for c in LOOP_CAUSES if c == best or c in same)  # the table begins with the most frequent causes
         best, same, (u, fit) = first, tuple(c for c in (best, *same) if c != first), tried[first]
         taken = {key: value for key, value in search.taken.items() if key != (cause, j)}
         search = LoopSearch(u, fit, {**taken, (best, j): (score, same)})
@@ -191,7 +192,7 @@ def part_twins(data: LoopData, search: LoopSearch, progress: Callable[[str], Non
 
 
 def _count_independent(data: LoopData, u: LoopUnknowns, fit: LoopFit, j: int) -> float:
-    """Return how many independent samples a joint's residual counts as."""
+    """Return the effective number of independent samples of a joint's residual."""
     problem = data.build_problem(u)
     return problem.count / count_worth(problem.residuals(fit.x[:, None])[:, j, 0], problem.used)
 
@@ -204,7 +205,7 @@ def _take_out(
     least: float,
     progress: Callable[[str], None],
 ) -> tuple[LoopUnknowns, LoopFit] | None:
-    """Return unknowns and fit without a cause at a joint; None where it takes off more than a share of the variance there."""
+    """Return unknowns and fit without a cause at a joint; None if it explains more than a share of the variance there."""
     cause, j = place
     progress(f"without {cause.replace('_', ' ')}")
     left, _ = _hold_null(data, u, fit, [place])
@@ -219,7 +220,7 @@ def _take_out(
 def _hold_null(
     data: LoopData, u: LoopUnknowns, fit: LoopFit, places: Iterable[tuple[str, int]]
 ) -> tuple[LoopUnknowns, LoopFit]:
-    """Return unknowns and vector of a solution, causes at some joints held at their null."""
+    """Return unknowns and vector of a solution, with causes at some joints fixed at their null."""
     values, free = {key: np.array(x) for key, x in u.with_values(fit.x).items()}, np.array(u.free)
     for cause, j in places:
         row = LOOP_CAUSES[cause]
@@ -240,9 +241,9 @@ def _restart_springs(
     taken: dict[tuple[str, int], tuple[float, tuple[str, ...]]],
     progress: Callable[[str], None],
 ) -> tuple[LoopUnknowns, LoopFit] | None:
-    """Return a better solution for joints whose residual is coloured in spite of their spring, changing `taken`; None for none.
+    """Return a better solution for joints with a coloured residual in spite of their spring, or None; `taken` is changed.
 
-    A torque that comes late drives a spring, so that neither is found without the other.
+    A late torque excites a spring, so that neither is found without the other.
     """
     coloured = _find_coloured(data, u, fit)
     joints = [j for cause, j in taken if cause == SPRING and coloured[j]]
@@ -267,9 +268,9 @@ def _restart_springs(
 
 
 def _find_coloured(data: LoopData, u: LoopUnknowns, fit: LoopFit) -> np.ndarray:
-    """Return at which joints (na,) residuals a few samples apart are alike by the share that a cause takes off at least.
+    """Return the joints (na,) whose residuals are autocorrelated by at least the share that a cause explains.
 
-    What a cause moves is smooth or swings, so that a white residual holds none of it.
+    The effect of a cause is smooth or oscillates, so that a white residual contains no cause.
     """
     problem = data.build_problem(u)
     r = problem.residuals(fit.x[:, None])[:, :, 0]
@@ -279,14 +280,14 @@ def _find_coloured(data: LoopData, u: LoopUnknowns, fit: LoopFit) -> np.ndarray:
 
 
 def compute_share_wanted(samples: int) -> float:
-    """Return the share of a joint's residual variance from which a cause is looked for; in short logs chance makes as much."""
+    """Return the share of a joint's residual variance from which causes are searched; in short logs chance explains as much."""
     return min(max(MIN_SHARE, _CHANCE / np.sqrt(samples)), 0.5)
 
 
 def _try_all(
     data: LoopData, u: LoopUnknowns, fit: LoopFit, coloured: np.ndarray, progress: Callable[[str], None]
 ) -> dict[str, TriedCause]:
-    """Return what causes do, those that may be the best at a joint (na,) with all sensitivities simulated anew."""
+    """Return the results of all causes; those that may be the best at a joint are repeated with all sensitivities simulated."""
     kept = data.build_problem(u).keep_inertial(fit.x)
     tried = {}
     for cause in LOOP_CAUSES:
@@ -312,7 +313,7 @@ def _try(
     starts: list[dict[str, np.ndarray]],
     kept: list[np.ndarray] | None = None,
 ) -> TriedCause | None:
-    """Return what a cause does at all joints that do not have it yet, refitted with everything else; None for no joint."""
+    """Return the result of a cause at all joints without it, refitted with everything else; None if all joints have it."""
     entry, na = LOOP_CAUSES[cause].entries[0], len(data.law.joints)
     there = u.free[u.kinds.index(entry)] if entry in u.kinds else np.zeros(na, bool)
     if there.all():
@@ -343,7 +344,7 @@ def _drop_superfluous(
     taken: dict[tuple[str, int], tuple[float, tuple[str, ...]]],
     progress: Callable[[str], None],
 ) -> tuple[LoopUnknowns, LoopFit, set[tuple[str, int]]]:
-    """Take out of `taken` what is not distinct from its null beside the others, and refit without it."""
+    """Remove from `taken` the causes that do not differ significantly from their null values, and refit without them."""
     dropped: set[tuple[str, int]] = set()
     needed: set[tuple[str, int]] = set()
     while True:
@@ -370,16 +371,16 @@ def _drop_superfluous(
 
 
 def _get_least_change(entry: str, null: np.ndarray) -> np.ndarray:
-    """Return the change of a number that the law gives (na,) from which it is a cause; of limits, that of their inverses."""
+    """Return the change (na,) of a value of the law from which it is a cause; for limits, that of their inverses."""
     return MIN_CHANGE * np.abs(1 / null if entry in LIMITS else null)
 
 
 def compute_limits(data: LoopData, base: LoopFit, cause: str) -> np.ndarray:
-    """Return the number (na,) that a cause must have at each joint to be found; infinite where these logs never show it.
+    """Return the value (na,) that a cause must have at each joint to be found; infinite where these logs cannot show it.
 
-    Its standard error beside the baseline's unknowns, of the sensitivities at its smallest start, with residuals as coloured
-    as the baseline's; times the threshold and what a power of 95 % asks for, and enough to colour the residual. A profile's
-    limit is found up to this number, zero where it never shows.
+    The value is its standard error next to the baseline's unknowns, from the sensitivities at its smallest start and residuals
+    as coloured as the baseline's, times the threshold plus the margin for a power of 95 %; it also has to be enough to colour
+    the residual. A profile's limit is found up to this value, which is zero if it never shows.
     """
     na = len(data.law.joints)
     start = list_starts(data, data.unknowns, base, cause)[-1 if cause == SPRING else 0]

@@ -1,7 +1,7 @@
 """The servo loops of `loop.py` as compiled code: the same equations, trial by trial, a hundred times faster.
 
-The source is C99, built once and kept (`codegen/compiler.py`). Where there is no compiler, or `TAU_DYN_COMPILE=0` says so,
-`loop.py` steps all trials at once in numpy; both agree to rounding.
+The source is C99, built once and kept (`codegen/compiler.py`). Without a compiler, or with `TAU_DYN_COMPILE=0`, `loop.py` steps
+all trials at once in numpy; both agree to rounding.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from tau_dyn.servo.waves import LoadRows, Trials, Waves
 from tau_dyn.simulate import COMMANDS, SERVO_ENTRIES
 
 NAMES = (*SERVO_ENTRIES, "armature", "coulomb", "viscous", "offset")
-"""Numbers of a joint in the order in which the kernel takes them."""
+"""Numbers of a joint in the order of the kernel's arguments."""
 _LIBRARIES = LibraryCache()
 _SETTLE = ctypes.CFUNCTYPE(ctypes.c_int64, *(4 * [ctypes.c_int64]))
 
@@ -392,16 +392,16 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
 def run_compiled(
     waves: Waves, trials: Trials, often: int, limits: tuple[float, ...], sweeps: int, motion: bool
 ) -> np.ndarray | None:
-    """Return what `loop.simulate_loops` steps (1 or 3, N, na, C, S), or None where compiled code is not possible here.
+    """Return the result of `loop.simulate_loops` (1 or 3, N, na, C, S), or None if compiled code is not available.
 
     Args:
-        waves: What logs and robot give.
+        waves: Data of logs and robot.
         trials: Values to simulate.
         often: Steps between samples.
         limits: Smallest inertia [kg m^2], straight part of a bent drive law, turn of a stop's contact in a step [rad], and change
-            of speeds at which a step of coupled joints has settled [rad/s].
+            of speeds at which a step of coupled joints has converged [rad/s].
         sweeps: Sweeps over the joints of such a step, at most.
-        motion: Whether the links' positions and speeds follow the positions.
+        motion: Whether the links' positions and speeds are appended to the positions.
     """
     source = _SOURCE.replace("@NAMES@", ", ".join(NAMES))
     library = _LIBRARIES.build(source) if is_compiling_allowed() else None
@@ -435,7 +435,7 @@ def run_compiled(
         def call(*where: int) -> int:
             try:
                 return coupling.settle(rows, *where)
-            except Exception as fault:  # noqa: BLE001  (what a callback raises would be lost)
+            except Exception as fault:  # noqa: BLE001  (an exception of a callback would be lost)
                 faults.append(fault)
                 return 1
 

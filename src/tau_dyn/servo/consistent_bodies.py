@@ -1,12 +1,13 @@
-"""Bodies that may exist, for a fit in the few directions that logs inform on.
+"""Physically consistent bodies, for a fit in the few directions that logs inform on.
 
-A pseudo-inertia `J` that is positive definite belongs to some distribution of mass. A fit pays its divergence from the file's,
+A positive definite pseudo-inertia `J` belongs to some distribution of mass. The cost of a fit contains its divergence from the
+file's,
 
     minimise over w  c |w|^2 + sum_bodies tr(J J0^-1) - log det(J J0^-1) - 4,   J at nominal + prior (V z + W w),
 
-beside what it pays for its unknowns z: nothing at the file, and without end where a body ceases to exist. What the logs do not
-inform on, w, gives way almost freely: of a thin rod two moments are one, and what is known of it before counts once. Convex in
-z; gradient and curvature follow from those in (z, w).
+in addition to the cost of its unknowns z: zero at the file's values, and infinite where a body becomes inconsistent. The
+directions w that the logs do not inform on are almost free: two moments of a thin rod are one quantity, whose prior counts
+once. The cost is convex in z; gradient and curvature follow from those in (z, w).
 Reference: Wensing, Kim & Slotine 2018 (J); Lee, Wensing & Park 2019 (divergence); Boyd & Vandenberghe 2004, 3.2.5 and 9.5.
 """
 
@@ -21,26 +22,26 @@ from tau_dyn.estimate import pseudo_inertia
 from tau_dyn.robot import LinkInertia
 
 INNER = 0.9
-"""Part of the way to where a body ceases to exist that one step may go."""
+"""Part of the way to an inconsistent body that one step may go."""
 NO_WAY = 1e-6
-"""Part of the way from which a step is none: what it leads to does not exist."""
+"""Part of a step below which it counts as zero: the bodies beyond are inconsistent."""
 MAX_STEPS = 60
 """Newton steps for w, and steps towards z, at most; five and one are usual."""
 GIVING_WAY = 0.01
-"""What w pays per square, in units of its prior's (c)."""
+"""Cost of w per square, in units of its prior's (c)."""
 SETTLED = 1e-12
 """Newton decrement from which w is found."""
 _LEAST = 1e-9  # eigenvalue of a file's pseudo-inertia, scaled to a diagonal of one, below which the body is degenerate
 
 
 class Divergence(NamedTuple):
-    """What a fit pays at unknowns z (K,).
+    """Cost of a fit at unknowns z (K,).
 
     Attributes:
-        value: The divergence, with what w pays.
+        value: The divergence, with the cost of w.
         gradient: Its slope by z (K,).
         curvature: Its second derivatives (K, K).
-        w: Where it is least (m,).
+        w: Values of w at the minimum (m,).
     """
 
     value: float
@@ -64,7 +65,7 @@ class ConsistentBodies:
         prior: np.ndarray,
         directions: np.ndarray,
     ) -> None:
-        """Prepare; see `InertialSpace`. Bodies that do not exist in the file are left as they are."""
+        """Prepare; see `InertialSpace`. Bodies that are inconsistent in the file are not constrained."""
         free = prior > 0
         scaled = directions[free] / prior[free, None]
         rest = np.linalg.svd(scaled, full_matrices=True)[0][:, scaled.shape[1] :]
@@ -85,7 +86,7 @@ class ConsistentBodies:
         self._at = (np.zeros(self._k), np.zeros(rest.shape[1]))  # where the last search ended
 
     def find(self, z: np.ndarray) -> Divergence | None:
-        """Return the divergence at unknowns (K,), or None where a body cannot exist whatever w is."""
+        """Return the divergence at unknowns (K,), or None if a body is inconsistent for every w."""
         for start in (self._at, (np.zeros(self._k), np.zeros(self.within.shape[1]))):
             at, w = start
             for _ in range(MAX_STEPS):
@@ -103,7 +104,7 @@ class ConsistentBodies:
         return None
 
     def limit(self, z: np.ndarray, step: np.ndarray) -> float:
-        """Return the part of a step (K,) from unknowns z that keeps every body, w following; at most 1."""
+        """Return the part of a step (K,) from unknowns z that keeps every body consistent, with w following; at most 1."""
         found = self.find(z)
         if found is None:
             return 1.0
@@ -115,7 +116,7 @@ class ConsistentBodies:
         return np.eye(4) + np.einsum("bkij,k->bij", self._A, x)
 
     def _reach(self, x: np.ndarray, step: np.ndarray) -> float:
-        """Return how many steps (K + m,) lead to where the first body ceases to exist."""
+        """Return the multiple of a step (K + m,) at which the first body becomes inconsistent."""
         inverse = np.linalg.inv(np.linalg.cholesky(self._bodies(x)))
         change = np.einsum("bkij,k->bij", self._A, step)
         least = float(np.linalg.eigvalsh(inverse @ change @ inverse.swapaxes(1, 2)).min(initial=0.0))
@@ -137,7 +138,7 @@ class ConsistentBodies:
         return value, gradient, second
 
     def _minimise(self, z: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, tuple[float, np.ndarray], np.ndarray]:
-        """Return w (m,) of the least divergence at z, from one where all bodies exist; value, gradient, second derivatives."""
+        """Return w (m,) of the least divergence at z, from a consistent one; value, gradient, second derivatives."""
         k = self._k
         value, gradient, second = self._differentiate(np.append(z, w))
         for _ in range(MAX_STEPS):

@@ -1,8 +1,8 @@
-"""Contact of the tool with something below it: where the tip stays up although it is told to go down.
+"""Contact of the tool with an object below it: the tip stays up although it is commanded to go down.
 
-A servo without integral gives way to gravity, so the tip of a free arm hangs at or below its commanded height. A tip that rests
-at the lowest height of its log, well above its command, while elsewhere it does not, rests on something. These samples say
-nothing about the robot, and in a fit they make false friction at every joint that pushes.
+A servo without integral action yields to gravity, so the tip of a free arm hangs at or below its commanded height. A tip that
+rests at the lowest height of its log, well above its command, but only there, rests on an object. These samples hold no
+information about the robot, and in a fit they cause false friction at every joint that pushes.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from tau_dyn.model import Model
 from tau_dyn.servo.records import LoopRecord, mask_unused
 
 MIN_GAP_M = 0.005
-"""How far above its command a tip rests at least where it is held up [m]: dry friction of small arms leaves less."""
+"""Least height above its command of a tip that is held up [m]: dry friction of small arms causes less."""
 RESTING = 0.06
 """Speed of every joint below which the tip rests [rad/s]."""
 LOWEST_BAND_M = 0.012
-"""A tip this near to the lowest point of its log may rest on something [m]."""
+"""Distance [m] to the lowest point of its log within which a tip may rest on an object."""
 MIN_DURATION_S = 0.15
-"""Shortest rest on something [s]."""
+"""Shortest rest on an object [s]."""
 BEFORE_S, AFTER_S = 0.5, 1.0
-"""What is left out around a contact [s]: the approach, and until the loop has forgotten it."""
+"""Time left out around a contact [s]: the approach before it, and the transient of the loop after it."""
 
 
 @dataclass(frozen=True)
 class Contact:
-    """One log's contact with something below the tool.
+    """One log's contact with an object below the tool.
 
     Attributes:
         log: The log's name.
@@ -49,7 +49,7 @@ class Contact:
     height: float
 
     def describe(self) -> str:
-        """Return the sentence about it."""
+        """Return a sentence that describes it."""
         return (
             f"{self.log}: the tool rests on something at z = {1e3 * self.height:.0f} mm (tip), from {self.start:.1f} to "
             f"{self.stop:.1f} s; {self.joint} pushes on; {100 * self.share:.0f} % of the log is left out as contact"
@@ -59,7 +59,7 @@ class Contact:
 def find_contacts(model: Model, records: Sequence[LoopRecord]) -> tuple[list[Contact], list[LoopRecord]]:
     """Return the contacts in logs, and the records without those samples.
 
-    What one log shows to be there is looked for in the others, where the tip rests on it too shortly to show it by itself.
+    An object found in one log is searched in the others, in which the tip may rest on it too briefly to show it.
     """
     if not model.robot.tool or any(r.told != "position" for r in records):
         return [], list(records)
@@ -76,13 +76,13 @@ def find_contacts(model: Model, records: Sequence[LoopRecord]) -> tuple[list[Con
 
 
 def _measure_gap(model: Model, record: LoopRecord) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the tip's height (N,) [m], how far above its command it is (N,) [m], and where every joint rests (N,)."""
+    """Return the tip's height (N,) [m], its height above the command (N,) [m], and the mask of samples at rest (N,)."""
     tip, told = (model.mechanism.tool_position(x)[:, 2] for x in (record.q, record.command))
     return tip, tip - told, np.all(np.abs(record.motion[1]) < RESTING, axis=1)
 
 
 def _measure_usual_gap(model: Model, record: LoopRecord) -> float:
-    """Return the gap that a free tip at rest stays below in this log [m]; zero where it never rests."""
+    """Return the upper limit of the gap of a free tip at rest in this log [m]; zero if it never rests."""
     tip, gap, still = _measure_gap(model, record)
     free = gap[still & (tip > tip.min() + LOWEST_BAND_M)]
     return float(np.percentile(free, 98)) if len(free) > 10 else 0.0
@@ -91,7 +91,7 @@ def _measure_usual_gap(model: Model, record: LoopRecord) -> float:
 def _find_contact(model: Model, record: LoopRecord, usual: float, known: float) -> tuple[Contact | None, np.ndarray]:
     """Return a log's contact or None, and the mask of its samples to be left out (N,).
 
-    `usual` is the gap of a free tip, `known` the height of something there, infinite for none [m].
+    `usual` is the gap of a free tip, `known` the height of a known object, infinite without one [m].
     """
     nothing = np.zeros(len(record.t), dtype=bool)
     tip, gap, still = _measure_gap(model, record)
@@ -115,7 +115,7 @@ def _find_contact(model: Model, record: LoopRecord, usual: float, known: float) 
 
 
 def _share_gap(model: Model, record: LoopRecord, rests: np.ndarray) -> np.ndarray:
-    """Return how much of the tip's gap to its command each joint holds up (na,) [m], in the median."""
+    """Return the contribution of each joint to the tip's gap to its command (na,) [m], as a median."""
     q, command = record.q[rests], record.command[rests]
     shares = []
     for j in range(q.shape[1]):

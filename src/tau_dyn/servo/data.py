@@ -1,4 +1,4 @@
-"""Everything that a fit through the loop starts from, and the problem that it solves."""
+"""Input data of a fit through the loop, and the problem that it solves."""
 
 from __future__ import annotations
 
@@ -17,38 +17,39 @@ from tau_dyn.servo.waves import MAX_STEP_S, SPRING_STEP_S, Trials
 from tau_dyn.simulate import COMMANDS, ServoLaw
 
 BASELINE = ("armature", "coulomb", "viscous", "offset")
-"""What a simulation has before any cause, and is fitted first."""
+"""Entries of a simulation before any cause, which are fitted first."""
 _ITERATIONS = 6  # from a solution of nearly the same problem
 EXACT_STEP_S = 5e-4
 """Shortest step of exact motions [s]."""
 STEP_PER_ROOT = 0.022
-"""Step of exact motions over the root of the residual [s / sqrt(rad)]: steps of 1 ms are off by some 0.02 mrad, others
-by the square of it, so that this one is off by a hundredth of the residual."""
+"""Step of exact motions over the root of the residual [s / sqrt(rad)]: steps of 1 ms cause an error of about 0.02 mrad, which
+grows with the square of the step, so that the error is a hundredth of the residual."""
 STEP_RATIO = 4.0
 """Step of the fits over that of exact motions."""
 LARGE_RESIDUAL_RAD = 1.6e-3
-"""Median residual of the joints from which what a model misses outweighs the errors of long steps, of large differences and of
-loads along the measured motion."""
+"""Median residual of the joints from which model errors outweigh the errors of long steps, of large differences and of loads
+along the measured motion."""
 MAX_SETTLINGS = 14
-"""Fits in turn against exact motions of the last one's solution; three are usual, ten of long chains."""
+"""Largest number of fits, each corrected by exact motions of the previous solution; three are usual, ten for long chains."""
 LOADS_ANEW = 2
-"""Such fits that take their loads along the last exact motions; later ones move too little for their sensitivities."""
+"""Number of such fits that evaluate loads along the last exact motions; later ones change too little for their
+sensitivities."""
 STILL_FALLING = 0.05
-"""Share by which a joint's residual changed in the last such fit, from which later ones take their loads anew, too."""
+"""Relative change of a joint's residual in the last such fit, from which later ones recompute their loads, too."""
 MAX_JOINT_SECONDS = 1500.0
 """Unknowns times joints times seconds of logs up to which springs are fitted with sensitivities of all joints: minutes."""
 SEARCH_S = 150.0
-"""Time of the logs on which causes are looked for [s], in pieces of at least 10 s: some 30 blocks of 4 s."""
+"""Duration of the logs in which causes are searched [s], in pieces of at least 10 s: some 30 blocks of 4 s."""
 MIXED = 8
-"""Solutions that are mixed into the next start, at most."""
+"""Largest number of solutions that are combined into the next start."""
 RMS_TOLERANCE = 1e-4
-"""Relative change of every joint's residual from which loads count as settled: where a model misses much, unknowns wander."""
+"""Relative change of every joint's residual below which loads count as converged: with large model errors, unknowns drift."""
 SETTLED = 0.1
-"""Change of every unknown over its standard error from which its loads count as settled."""
+"""Change of every unknown over its standard error below which its loads count as converged."""
 
 
 class ExactMotions(NamedTuple):
-    """Exact motions of all logs, and the trial that they are of."""
+    """Exact motions of all logs, and their trial."""
 
     motions: tuple[SimulatedMotion, ...]
     trials: Trials
@@ -56,7 +57,7 @@ class ExactMotions(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LoopData:
-    """Everything that a fit starts from.
+    """All data from which a fit starts.
 
     Attributes:
         model: Robot and friction, at start values.
@@ -64,10 +65,10 @@ class LoopData:
         space: Inertial numbers, with the directions that are unknowns.
         records: Training logs.
         loads: Loads along them.
-        unknowns: What may change.
-        settled: Exact motions at one solution, by which a problem is corrected; None before a first fit.
-        whole: Whether logs are simulated from start to end rather than in pieces: behind a spring no measured position
-            tells the state that a piece would begin with, and a loop without a position's error never forgets it.
+        unknowns: The unknowns of the fit.
+        settled: Exact motions at one solution, with which a problem is corrected; None before a first fit.
+        whole: Whether logs are simulated from start to end rather than in pieces: behind a spring no measured position gives
+            the initial state of a piece, and a loop without a position error never forgets it.
         step: Longest step of the simulated loops [s].
     """
 
@@ -84,7 +85,7 @@ class LoopData:
     def build_problem(
         self, unknowns: LoopUnknowns | None = None, records: Sequence[LoopRecord] | None = None
     ) -> LoopProblem:
-        """Return the fit's problem, with other unknowns or other masks where they are given."""
+        """Return the fit's problem, with other unknowns or other masks if given."""
         records = records or self.records
         pieces, loads = (records, self.loads) if self.whole else split_pieces(records, self.loads)
         problem = LoopProblem(unknowns or self.unknowns, build_waves(pieces, loads, self.law), pieces)
@@ -102,7 +103,7 @@ class LoopData:
         return replace(self, records=records, loads=loads, settled=settled)
 
     def shorten(self) -> LoopData:
-        """Return the data of pieces spread evenly over long logs; all of them where a loop never forgets where it began."""
+        """Return the data of pieces spread evenly over long logs; all data if a loop never forgets its initial state."""
         total = sum(len(r.t) * r.dt for r in self.records)
         if self.law.command != COMMANDS[0] or total <= SEARCH_S:
             return self
@@ -113,7 +114,7 @@ class LoopData:
 
     @property
     def is_shaken(self) -> bool:
-        """Whether links on springs shake each other, in logs short enough to fit all joints' sensitivities."""
+        """Whether links on springs excite each other, in logs short enough to fit all joints' sensitivities."""
         seconds = sum(len(r.t) * r.dt for r in self.records)
         na = len(self.law.joints)
         return self.unknowns.is_flexible and na > 1 and self.unknowns.n * na * seconds < MAX_JOINT_SECONDS
@@ -123,13 +124,13 @@ class LoopData:
         return float(np.clip(STEP_PER_ROOT * np.sqrt(np.median(fit.sigma)), EXACT_STEP_S, self.step / STEP_RATIO))
 
     def with_fine_steps(self, fit: LoopFit) -> LoopData:
-        """Return the data with steps as short as the residual of a fit asks for where springs may be; never with longer ones."""
+        """Return the data with steps as short as the residual of a fit requires if springs are possible, never longer."""
         step = float(np.clip(STEP_RATIO * STEP_PER_ROOT * np.sqrt(np.median(fit.sigma)), SPRING_STEP_S, self.step))
         many, few = (np.ceil(max(r.dt for r in self.records) / x - 1e-9) for x in (step, self.step))
         return replace(self, step=step) if many > few else self
 
     def with_exact_motions(self, fit: LoopFit, with_loads: bool = True) -> LoopData:
-        """Return the data with the motions of a solution, and with loads along them unless the old ones do."""
+        """Return the data with the motions of a solution, and with loads along them or the old ones."""
         u, space = self.unknowns, self.space
         inertial, values = fit.x[u.n - space.n_unknowns :], u.with_values(fit.x)
         step = self.compute_exact_step(fit)
@@ -147,7 +148,7 @@ class LoopData:
 
 
 class CoupledProblem(LoopProblem):
-    """Residuals of exact motions, and sensitivities of every joint to every unknown: links on springs shake each other."""
+    """Residuals of exact motions, and sensitivities of every joint to every unknown: links on springs excite each other."""
 
     def __init__(self, data: LoopData, step: float) -> None:
         """Prepare, with the longest step of the loops [s]."""
@@ -178,19 +179,19 @@ class CoupledProblem(LoopProblem):
 
 
 class Mixing:
-    """Solutions of a search for what a map leaves in place, mixed into its next point as if the map were linear.
+    """Anderson mixing: iterates of a search for a fixed point of a map, combined into the next point as if the map were linear.
 
-    Joints of a long chain answer each other for many fits; what one search learns of that holds for the next.
+    Joints of a long chain influence each other over many fits; the slopes found in one search are valid for the next.
     Reference: Anderson 1965; Walker & Ni 2011.
     """
 
     def __init__(self) -> None:
-        """Know nothing."""
+        """Start without iterates."""
         self._gaps: list[np.ndarray] = []
         self._ways: list[np.ndarray] = []
 
     def mix(self, points: Sequence[np.ndarray], answers: Sequence[np.ndarray], scale: np.ndarray) -> np.ndarray:
-        """Return the next point (n,) after the last ones (n,) and what the map made of them, in units of a scale (n,)."""
+        """Return the next point (n,) after the last ones (n,) and their images under the map, in units of a scale (n,)."""
         gap = answers[-1] - points[-1]
         if len(points) > 1:
             self._gaps = [*self._gaps[1 - MIXED :], gap - (answers[-2] - points[-2])]
@@ -203,7 +204,7 @@ class Mixing:
 
 
 def is_large(fit: LoopFit) -> bool:
-    """Return whether what a model misses outweighs the errors of long steps, large differences and measured loads."""
+    """Return whether model errors outweigh the errors of long steps, large differences and measured loads."""
     return float(np.median(fit.sigma)) > LARGE_RESIDUAL_RAD
 
 
@@ -216,11 +217,12 @@ def fit_coupled(
 ) -> tuple[LoopData, LoopFit]:
     """Return the data and the end of a search whose loads and steps are exact where it ends (defect correction).
 
-    The first fit, unless one is given, takes what joints do to each other along the measured motion, whose accelerations
-    are filtered and noisy. Each next one adds what finer steps, and loads along the motion that the last one simulates, change
-    there. Where a model misses much more than that, the first fit is the last, except of springs: accelerations of a link that
-    swings are what filters miss. Two such fits follow there, and they are kept where every joint's residual is less. Links on
-    springs shake each other, so that a last fit (Gauss-Newton) takes sensitivities of all joints.
+    The first fit, unless one is given, takes the loads between joints along the measured motion, whose accelerations are
+    filtered and noisy. Each following fit adds the corrections from finer steps and from loads along the motion that the last
+    one simulates. If model errors are much larger than these corrections, the first fit is the last, except with springs:
+    filters remove the accelerations of an oscillating link. Two such fits follow in that case, and they are kept if every
+    joint's residual is smaller. Links on springs excite each other, so that a last fit (Gauss-Newton) takes sensitivities of
+    all joints.
     Reference: Stetter 1978.
     """
     last = None
@@ -262,7 +264,7 @@ def _is_alike(sigma: np.ndarray, before: np.ndarray, share: float) -> bool:
 def fit_precisely(
     problem: LoopProblem, progress: Callable[[str], None], is_enough: Callable[[LoopFit], bool] = lambda near: False
 ) -> LoopFit:
-    """Return a fit whose last part takes small differences, unless the first part answers and its residual is large."""
+    """Return a fit whose last part uses small differences, unless the first part is sufficient because its residual is large."""
     near = fit_loop(problem, progress)
     if is_large(near) and is_enough(near):
         return near
@@ -270,7 +272,7 @@ def fit_precisely(
 
 
 def refit_again(problem: LoopProblem, fit: LoopFit, progress: Callable[[str], None]) -> LoopFit:
-    """Return a fit again, of a better problem; what that moves counts as uncertain."""
+    """Return a repeated fit of a better problem; its change is added to the uncertainty."""
     fine = fit_loop(problem.with_finer_differences(), progress, _ITERATIONS, fit.x)
     shift = (fine.x - fit.x) * (np.diag(fine.covariance) > 0)
     return replace(fine, covariance=fine.covariance + np.outer(shift, shift))

@@ -1,9 +1,9 @@
-"""What a servo loop's simulation misses, and why: causes that act in the loop, tested on positions.
+"""Errors of a servo loop's simulation and their causes in the loop, tested on positions.
 
-    logs -> baseline -> causes (`cause_search.py`) -> confirmed -> gain -> what is left (`residual_structure.py`)
+    logs -> baseline -> causes (`cause_search.py`) -> confirmed -> gain -> residual (`residual_structure.py`)
 
-A cause is confirmed where held-out positions move with the effect that it predicts, and its gain is measured on data used
-for nothing else. Both use the models as fitted to the search's data alone.
+A cause is confirmed if held-out positions show the effect that it predicts, and its gain is measured on test data that serve no
+other purpose. Both use the models fitted to the search's data alone.
 """
 
 from __future__ import annotations
@@ -48,16 +48,16 @@ from tau_dyn.servo.unknowns import HIGHEST, LIMITS, LOWEST, LoopUnknowns, get_un
 from tau_dyn.simulate import SERVO_ENTRIES
 
 CONFIRMED = 2.6
-"""Score on held-out data from which an effect is confirmed: one in 200 by chance."""
+"""Score on held-out data from which an effect is confirmed: exceeded by chance in one of 200 cases."""
 BLOCK_S = 4.0  # of the split into training, confirmation and gain
 DRAWS = 400
 """Bootstrap draws of blocks for the gain's interval."""
-MAX_INCREASE = 0.5  # per cent of a joint's rms; a smaller rise is not worth a word
+MAX_INCREASE = 0.5  # per cent of a joint's rms; a smaller increase is not reported
 
 
 @dataclass(frozen=True, eq=False)
 class _Parts:
-    """Records of what serves for the search, the confirmation and the gain, and loads along the last two."""
+    """Records for the search, the confirmation and the gain, and loads along the last two."""
 
     train: Sequence[LoopRecord]
     confirm: Sequence[LoopRecord]
@@ -81,7 +81,7 @@ class _Residuals(NamedTuple):
 def diagnose_loop(
     robot: Robot, logs: Log | Recording | Iterable[Log | Recording], **options: Unpack[LoopOptions]
 ) -> Diagnosis:
-    """Say what servo loops' simulation misses, from logs of commands and positions.
+    """Find the errors of servo loops' simulation, from logs of commands and positions.
 
     Args:
         robot: The robot, with nominal parameters.
@@ -124,7 +124,7 @@ def diagnose_loop(
     interval = _compare(before, after, seed)
     foreign = [] if parts.same_logs else _find_foreign(law.joints, search.fit, after.rms)
     choice, why = _recommend(law.joints, findings, (nominal, before, after), interval, foreign, seed)
-    floor = np.minimum(compute_noise_floor([*given.kept, *given.others]), after.rms)  # what is reached is no floor
+    floor = np.minimum(compute_noise_floor([*given.kept, *given.others]), after.rms)  # never above the residual
     train, confirm = (
         _predict(one, search.unknowns, search.fit.x, records)
         for one, records in ((data, parts.train), (held, parts.confirm))
@@ -182,7 +182,7 @@ def diagnose_loop(
 
 
 def _list_aliased(findings: Sequence[Finding]) -> Sequence[Finding]:
-    """Return the findings if none is confirmed and each one has an indistinguishable cause: the data cannot tell."""
+    """Return the findings if all are unconfirmed and each has an indistinguishable cause: the data cannot separate them."""
     open_ = all(f.indistinguishable_from and f.status != "confirmed" for f in findings)
     return findings if open_ else ()
 
@@ -197,7 +197,7 @@ def _measure_parts(parts: _Parts) -> tuple[float, float, float]:
 
 
 def _compute_percent(rms: np.ndarray, size: np.ndarray) -> float:
-    """Return the norm of errors (na,) over that of the motion (na,) [%]."""
+    """Return the norm of errors (na,) divided by that of the motion (na,) [%]."""
     return 100 * float(np.linalg.norm(rms) / max(float(np.linalg.norm(size)), 1e-12))
 
 
@@ -214,7 +214,7 @@ def _measure(joints: tuple[str, ...], found: _Residuals, size: np.ndarray, seed:
 
 
 def _describe(findings: Sequence[Finding], before: OutputErrors, after: OutputErrors) -> str:
-    """Return the answer in a sentence."""
+    """Return the result in a sentence."""
     named = ", ".join(f"{f.cause.replace('_', ' ')} at {f.joints[0]}" for f in findings if f.status == "confirmed")
     one, other = (f"{1e3 * float(np.sqrt(np.mean(e.rms**2))):.1f}" for e in (before, after))
     if named:
@@ -225,7 +225,7 @@ def _describe(findings: Sequence[Finding], before: OutputErrors, after: OutputEr
 
 
 def _search(data: LoopData, base: LoopFit, progress: Callable[[str], None]) -> LoopSearch:
-    """Return the causes found on pieces of long logs, fitted to all of these."""
+    """Return the causes found on pieces of long logs, fitted to the whole logs."""
     short = data.shorten()
     if short is data:
         return search_causes(data, base, progress)
@@ -234,7 +234,7 @@ def _search(data: LoopData, base: LoopFit, progress: Callable[[str], None]) -> L
 
 
 def _split(train: Sequence[LoopRecord], held: Sequence[LoopRecord]) -> _Parts:
-    """Return 60 / 20 / 20 by blocks, or the held-out logs by halves of blocks."""
+    """Return the parts: 60 / 20 / 20 by blocks, or the held-out logs in halves of blocks."""
 
     def mask(records: Sequence[LoopRecord], wanted: set[int], of: int) -> list[LoopRecord]:
         found = []
@@ -249,7 +249,7 @@ def _split(train: Sequence[LoopRecord], held: Sequence[LoopRecord]) -> _Parts:
 
 
 def _regress_on(effect: np.ndarray, residual: np.ndarray, blocks: np.ndarray) -> tuple[float, float]:
-    """Return how much of an effect (M,) a residual (M,) holds, and that over its error, which coloured residuals do not lower."""
+    """Return the share of an effect (M,) in a residual (M,), and its t-statistic, valid for coloured residuals."""
     power = float(effect @ effect)
     if power <= 0:
         return 0.0, 0.0
@@ -259,7 +259,7 @@ def _regress_on(effect: np.ndarray, residual: np.ndarray, blocks: np.ndarray) ->
 
 
 def _hold_nominal(data: LoopData) -> LoopUnknowns:
-    """Return unknowns of which none is free, at the model's and the law's own values."""
+    """Return fixed unknowns at the model's and the law's own values."""
     u, p, joints = data.unknowns, data.model.parameters, data.law.joints
     values = {key: np.array(value) for key, value in {**u.values, **data.law.values}.items()}
     for kind in BASELINE:
@@ -268,13 +268,13 @@ def _hold_nominal(data: LoopData) -> LoopUnknowns:
 
 
 def _predict(data: LoopData, u: LoopUnknowns, x: np.ndarray, records: Sequence[LoopRecord]) -> _Residuals:
-    """Return the residuals of logs of the data, with masks of their own, at a solution."""
+    """Return the residuals of logs of the data, with their own masks, at a solution."""
     problem = data.build_problem(u, records)
     return _Residuals(problem.residuals(x[:, None])[:, :, 0], problem.blocks, problem.used)
 
 
 def _confirm(data: LoopData, search: LoopSearch, parts: _Parts, seed: int) -> list[Finding]:
-    """Return the causes taken in, each confirmed or suspected by what it predicts on data that the search did not see."""
+    """Return the causes of the search, each confirmed or suspected by its prediction on data that the search did not use."""
     findings, u, fit = [], search.unknowns, search.fit
     where = np.full(u.free.shape, -1)
     where[u.free] = np.arange(int(u.free.sum()))
@@ -326,7 +326,7 @@ def _confirm(data: LoopData, search: LoopSearch, parts: _Parts, seed: int) -> li
 
 
 def _explain_rejection(t: float, share: float, interval: tuple[float, float]) -> str:
-    """Return why a cause is suspected only."""
+    """Return the reason why a cause is only suspected."""
     if t <= CONFIRMED:
         return "held-out data do not show it"
     if not 0.3 < share < 3.0:
@@ -335,7 +335,7 @@ def _explain_rejection(t: float, share: float, interval: tuple[float, float]) ->
 
 
 def _compare(before: _Residuals, after: _Residuals, seed: int) -> tuple[float, float]:
-    """Return the 95 % interval of the fall of the rms over all joints, each by its size before [%]."""
+    """Return the 95 % interval of the reduction of the rms over all joints, each divided by its size before [%]."""
     scale = np.maximum(before.rms, 1e-9)[None, :, None]
     one, other = (np.sqrt(((x.r / scale) ** 2).sum(axis=1)) for x in (before, after))
     return _bootstrap(one, other, before.blocks, seed)
@@ -355,7 +355,7 @@ def _recommend(
     foreign: Sequence[tuple[str, float]],
     seed: int,
 ) -> tuple[Choice, str]:
-    """Return which model to use, and why, as a diagnosis of forces does."""
+    """Return the recommended model and the reason, as in a diagnosis of forces."""
     nominal, before, after = steps
     if foreign:
         return "neither", "the held-out error is many times the training error: the held-out log is of another machine"
@@ -378,7 +378,7 @@ def _recommend(
 def _list_limits(
     data: LoopData, base: LoopFit, findings: Sequence[Finding]
 ) -> tuple[tuple[Limit, ...], tuple[Untestable, ...]]:
-    """Return what would have been found of the causes that were not, and what these logs cannot show."""
+    """Return the detection limits of the causes that were not found, and the causes that these logs cannot show."""
     limits, untestable = [], []
     for cause, row in LOOP_CAUSES.items():
         entry = row.entries[0]
@@ -408,7 +408,7 @@ def _list_limits(
 
 
 def _bootstrap(before: np.ndarray, after: np.ndarray, blocks: np.ndarray, seed: int) -> tuple[float, float]:
-    """Return the 95 % interval of the fall of the rms [%] over draws of blocks; residuals and blocks (N, S)."""
+    """Return the 95 % interval of the reduction of the rms [%] over draws of blocks; residuals and blocks (N, S)."""
     rng, flat = np.random.default_rng(seed), blocks.reshape(-1)
     a, b = (np.bincount(flat, weights=(r**2).reshape(-1)) for r in (before, after))
     there = np.flatnonzero((a > 0) | (b > 0))

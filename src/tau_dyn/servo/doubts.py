@@ -1,4 +1,4 @@
-"""What is doubtful about an identification through the closed loop, in sentences with codes."""
+"""Warnings about an identification through the closed loop, as sentences with codes."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
     from tau_dyn.servo.fit import LoopFit
 
 BEYOND = 1.3
-"""Acceleration of held-out logs over that of all training logs from which a prediction leaves what was learnt."""
+"""Acceleration of held-out logs over that of all training logs from which a prediction extrapolates."""
 SUSTAINED = 90.0
-"""Per cent of a log's samples below the acceleration that counts: single steps are no motion that was learnt."""
+"""Percentile of a log's acceleration that is compared: single steps are not representative."""
 MIN_DROOP_RAD = 0.03
-"""Lost motion at rest that is explained as droop [rad]: above the play of hobby servos."""
+"""Least lost motion at rest that is explained as droop [rad]: above the play of hobby servos."""
 REST_S = 0.15
-"""Shortest rest [s]: a chirp turns back faster."""
+"""Shortest rest [s]: a chirp reverses faster."""
 _LOADS = ("load", "current", "effort")
 MAX_UNSIGNED = 32767  # beyond it a register holds negative numbers as two's complements
-_MIN_LIKENESS = 0.4  # correlation with the position error from which a channel is its size
+_MIN_LIKENESS = 0.4  # correlation with the position error from which a channel is its magnitude
 
 
 def list_loop_warnings(
@@ -38,7 +38,7 @@ def list_loop_warnings(
     data: LoopData,
     fit: LoopFit,
 ) -> list[str]:
-    """Return all sentences."""
+    """Return all warnings."""
     return [
         *_describe_scale(law, data),
         *_describe_accelerations(law.joints, train, held),
@@ -49,7 +49,7 @@ def list_loop_warnings(
 
 
 def list_unsettled(logs: Sequence[tuple[str, float | None]]) -> list[str]:
-    """Return a sentence for each log, by name, whose simulation did not settle from a time [s] on."""
+    """Return a sentence for each log, by name, whose simulation did not converge from a time [s] on."""
     return [
         CodedWarning(
             "not_settled",
@@ -118,7 +118,7 @@ def _describe_droop(joints: Sequence[str], records: Sequence[LoopRecord]) -> lis
 
 
 def _find_rest(v: np.ndarray, dt: float) -> np.ndarray:
-    """Return where a joint rests (N,) for a while, rather than turns back."""
+    """Return the mask (N,) of samples at which a joint rests, without reversals."""
     return minimum_filter1d((np.abs(v) < 0.02).astype(np.uint8), max(1, round(REST_S / dt))) > 0
 
 

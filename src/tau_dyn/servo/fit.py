@@ -1,12 +1,12 @@
-"""Parameters through the closed loop: output error by Gauss-Newton, from the start that equation error gives.
+"""Parameters through the closed loop: output error by Gauss-Newton, started at the result of equation error.
 
     minimise  sum_j sum_s sum_k (q_jsk - qhat_jsk(x))^2 / (sigma_js^2 n_j) + |z|^2 + sum ((x - prior) / sigma_x)^2
 
-`qhat` is the simulated loop from each log's start to its end: the loop forgets its start within a fraction of a second, so
-that one shot over a log is as well conditioned as many. All sensitivities are simulated side by side, as differences,
-because friction that holds has no useful derivative equations. `n_j` is how many samples of joint j one independent sample
-is worth. Standard errors come from the scatter of the gradient over blocks of time, which coloured residuals do not make
-too small.
+`qhat` is the simulated loop from each log's start to its end: the loop forgets its start within a fraction of a second, so that
+single shooting over a log is as well conditioned as multiple shooting. All sensitivities are simulated in parallel, as
+differences, because static friction has no useful derivative equations. `n_j` is the number of samples of joint j per
+independent sample. Standard errors are computed from the scatter of the gradient over blocks of time, so that coloured
+residuals do not make them too small.
 Reference: Ljung 1999, 7.2 and 9; Levenberg 1944, Marquardt 1963; White 1980, Liang & Zeger 1986 (blocks).
 """
 
@@ -24,33 +24,34 @@ from tau_dyn.servo.records import LoopRecord
 from tau_dyn.servo.unknowns import LoopUnknowns, compute_stiffness
 from tau_dyn.servo.waves import Trials, Waves
 
-MAX_ITERATIONS = 15  # of Gauss-Newton: fits settle in 4 to 10
+MAX_ITERATIONS = 15  # of Gauss-Newton: fits converge in 4 to 10
 
 FINE_DIFFERENCES = 0.05
-"""Steps of differences near a solution, over those that friction cannot hide far from one: large ones end a search too soon
-where gains are high and encoders fine."""
+"""Steps of differences near a solution, relative to the larger ones far from it, which friction cannot hide: large steps end a
+search too early with high gains and fine encoders."""
 
-_LAMBDAS = (1e-2, 3e-1, 1e1)  # damping factors that are tried side by side
+_LAMBDAS = (1e-2, 3e-1, 1e1)  # damping factors that are tried in parallel
 
 MAX_CONTRAST = 2.0
-"""Factor within which a log's residual may be weighed other than its joint's usual one: what no model explains in one log
-(a contact, a shaken joint) must not decide about the others."""
+"""Factor within which the weight of a log's residual may differ from its joint's usual one: an error of one log that no model
+explains (a contact, a shaken joint) must not determine the fit of the others."""
 
 BLOCK_S = (1.0, 5.0)
 """Shortest and longest blocks over which the gradient's scatter is taken [s]: an encoder's rounding lasts as long as a joint
-rests, a second where steps are commanded, and what a model misses is forgotten within the longest."""
+rests, a second where steps are commanded, and model errors are uncorrelated beyond the longest."""
 
 BLOCKS = 100
-"""Blocks that are wanted: several for each unknown of a joint, or the scatter among them comes out too small."""
+"""Desired number of blocks: several for each unknown of a joint, otherwise the scatter among them is too small."""
 
-_SMALL_GAIN = 1e-3  # relative fall of the loss below which a first search ends, twice in turn
+_SMALL_GAIN = 1e-3  # relative decrease of the loss below which a first search ends, twice in succession
 
 CONVERGED = 0.01
-"""Squared distance to the minimum, in standard errors and by unknown, from which a search near a solution ends (Newton
+"""Squared distance to the minimum, in standard errors and per unknown, below which a search near a solution ends (Newton
 decrement)."""
 
 MANY = 2
-"""Inertial unknowns over kinds of others from which trials keep what is known of them: simulating them is most of the work."""
+"""Ratio of inertial unknowns to kinds of other unknowns from which trials reuse sensitivities to the inertial ones: simulating
+them is most of the work."""
 
 MAX_ELEMENTS = 6_000_000
 """Positions that are simulated at once, 48 MB of them."""
@@ -61,11 +62,11 @@ class LoopFit:
     """The end of a search.
 
     Attributes:
-        x: LoopUnknowns (n,).
+        x: Unknowns (n,).
         covariance: Their covariance (n, n); zero rows for those at a bound.
         sigma: Residual rms of each joint (na,) [rad].
         loss: Sum of squares.
-        iterations: How often sensitivities were simulated.
+        iterations: Number of simulations of sensitivities.
         step: Longest step of the simulated loops [s].
     """
 
@@ -78,12 +79,12 @@ class LoopFit:
 
 
 class Slopes(NamedTuple):
-    """How simulated positions change with unknowns, at one vector.
+    """Sensitivities of simulated positions to unknowns, at one vector.
 
     Attributes:
         at: The vector (n,).
         rows: Joint by joint, sensitivities (n_j, S N) [rad per unit].
-        owners: Which unknowns they belong to (n_j,).
+        owners: Indices of their unknowns (n_j,).
     """
 
     at: np.ndarray
@@ -100,7 +101,7 @@ class LoopProblem:
     """
 
     def __init__(self, unknowns: LoopUnknowns, waves: Waves, records: Sequence[LoopRecord]) -> None:
-        """Prepare; records give the measured positions and the samples that count."""
+        """Prepare; records give the measured positions and the samples that are used."""
         n = len(waves.command)
         self.unknowns, self.waves = unknowns, waves
         self.measured = stack_records([r.q for r in records], n)
@@ -118,7 +119,7 @@ class LoopProblem:
         return other
 
     def take_slopes(self, other: LoopProblem | None) -> LoopProblem:
-        """Return the problem with the sensitivities of nearly the same one, where these are differences over equal steps."""
+        """Return the problem with the sensitivities of nearly the same one, if these are differences over equal steps."""
         if other is None or other.share_of_steps != self.share_of_steps:
             return self
         problem = copy(self)
@@ -126,7 +127,7 @@ class LoopProblem:
         return problem
 
     def keep_inertial(self, x: np.ndarray) -> list[np.ndarray] | None:
-        """Return the sensitivities to inertial unknowns at a vector (n,), for trials near it; None where they are few."""
+        """Return the sensitivities to inertial unknowns at a vector (n,), for trials near it; None if they are few."""
         count = self.unknowns.space.n_unknowns
         return (
             [rows[-count:] for rows in self.differentiate(x)[1].rows]
@@ -135,7 +136,7 @@ class LoopProblem:
         )
 
     def with_inertial(self, kept: list[np.ndarray] | None) -> LoopProblem:
-        """Return the problem with sensitivities to inertial unknowns that are not simulated anew."""
+        """Return the problem with sensitivities to inertial unknowns that are not simulated again."""
         other = copy(self)
         other.inertial = kept
         return other
@@ -147,7 +148,7 @@ class LoopProblem:
         return other
 
     def correct(self, exact: Sequence[np.ndarray], trials: Trials) -> LoopProblem:
-        """Return the problem without the error of its steps and loads: known, at one trial, are the exact positions (N, na)."""
+        """Return the problem corrected for the error of its steps and loads by the exact positions (N, na) at one trial."""
         other = copy(self)
         n = len(self.measured)
         other.measured = self.measured - stack_records(exact, n) + simulate_loops(self.waves, trials)[:, :, 0]
@@ -164,13 +165,13 @@ class LoopProblem:
         return np.concatenate(parts, axis=2) if len(parts) > 1 else parts[0]
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
-        """Return measured minus simulated positions (N, na, C, S) at vectors (n, C), zero where samples do not count."""
+        """Return measured minus simulated positions (N, na, C, S) at vectors (n, C), zero at unused samples."""
         r = self.measured[:, :, None, :] - self.simulate(x)
         np.copyto(r, 0.0, where=~self.used[:, None, None, :])
         return r
 
     def list_steps(self, x: np.ndarray) -> np.ndarray:
-        """Return steps (n,) for differences, above what friction that holds would hide."""
+        """Return steps (n,) for differences, large enough that static friction does not hide them."""
         values = self.unknowns.with_values(x)
         stiff = compute_stiffness(values)
         small = {
@@ -194,7 +195,7 @@ class LoopProblem:
         kind_of = np.append(np.nonzero(u.free)[0], len(u.kinds) + np.arange(u.space.n_unknowns))
         names = np.unique(kind_of[:simulated])
         columns = [x]
-        for name in names:  # joints move alone: one column changes a kind at all of them
+        for name in names:  # joints are independent: one column changes a kind at all of them
             columns.append(x + np.where(kind_of == name, steps, 0.0))
         r = self.residuals(np.stack(columns, axis=1))
         base, owners, sensitivities = r[:, :, 0], [], []
@@ -227,7 +228,7 @@ def _number_blocks(records: Sequence[LoopRecord], n: int) -> np.ndarray:
 
 
 def count_worth(residual: np.ndarray, used: np.ndarray) -> float:
-    """Return how many samples of one joint's residuals (N, S) an independent one is worth."""
+    """Return the number of samples of one joint's residuals (N, S) per independent one."""
     reach = min(400, len(residual) // 4)
     total = np.zeros(reach)
     for column, mask in zip(residual.T, used.T, strict=True):
@@ -246,7 +247,7 @@ def fit_loop(
     max_iterations: int = MAX_ITERATIONS,
     first: np.ndarray | None = None,
 ) -> LoopFit:
-    """Search the unknowns that simulate the logs best, from their start values or a first vector (n,)."""
+    """Search for the unknowns that simulate the logs best, from their start values or a first vector (n,)."""
     u = problem.unknowns
     prior = LoopPrior(u)
     x = prior.enter(u.clip(prior.start if first is None else first))
@@ -260,7 +261,7 @@ def fit_loop(
         progress(f"output error, iteration {k + 1}")
         if (
             first is None or problem.share_of_steps < 1
-        ):  # far from a solution, or where sums of squares bend, slopes are new
+        ):  # far from a solution, or with a nonlinear loss, slopes are recomputed
             problem.slopes = None
         near = _linearise(problem, x, prior, None if k == 2 else worth)
         worth, weight, H, g = near.worth, near.weight, near.H, near.g
@@ -275,7 +276,7 @@ def fit_loop(
         gain = loss - losses[best]
         if gain <= 0:
             if not near.own:
-                problem.slopes = None  # those of another place may be what misled
+                problem.slopes = None  # slopes of another vector may have misled the step
                 continue
             if damping > 1e3:
                 break
@@ -291,23 +292,23 @@ def fit_loop(
 
 
 class LoopPrior:
-    """What a fit pays for its unknowns: squares from their start, and the divergence of bodies from the file's."""
+    """Prior cost of the unknowns of a fit: squared distances from their start, and the divergence of bodies from the file's."""
 
     def __init__(self, u: LoopUnknowns) -> None:
-        """Take the start of the unknowns, and what is known of them before."""
+        """Take the start of the unknowns, and their prior."""
         self.unknowns, self.start = u, u.pack()
         self._precision = np.append(u.prior[u.free] ** -2.0, np.ones(u.space.n_unknowns))
         self._z = slice(u.n - u.space.n_unknowns, u.n)
 
     def enter(self, x: np.ndarray) -> np.ndarray:
-        """Return a vector (n,) whose bodies exist: itself, or as far on the way from the file's."""
+        """Return a vector (n,) with consistent bodies: itself, or the farthest one on the line from the file's values."""
         z = x[self._z]
         if not len(z) or self.unknowns.space.bodies.find(z) is not None:
             return x
         return np.append(x[: self._z.start], self.unknowns.space.bodies.limit(np.zeros(len(z)), z) * z)
 
     def compute_cost(self, x: np.ndarray) -> float:
-        """Return what a vector (n,) costs; infinite where a body cannot exist."""
+        """Return the cost of a vector (n,); infinite if a body is inconsistent."""
         found = self.unknowns.space.bodies.find(x[self._z]) if self._z.start < len(x) else None
         if found is None and self._z.start < len(x):
             return np.inf
@@ -323,22 +324,22 @@ class LoopPrior:
         return H, g
 
     def limit(self, x: np.ndarray, step: np.ndarray) -> float:
-        """Return the part of a step (n,) that keeps every body."""
+        """Return the part of a step (n,) that keeps every body consistent."""
         return self.unknowns.space.bodies.limit(x[self._z], step[self._z]) if self._z.start < len(x) else 1.0
 
 
 class _Linearised(NamedTuple):
-    """A problem about one vector.
+    """A problem linearised about one vector.
 
     Attributes:
-        residual: (N, na, S) [rad].
+        residual: Residuals (N, na, S) [rad].
         H: Normal matrix, with the prior's (n, n).
         g: Right side, with the prior's (n,).
-        scatter: Of the gradient over blocks, with the prior's (n, n).
+        scatter: Covariance of the gradient over blocks, with the prior's (n, n).
         sigma: Residual rms of each joint (na,) [rad].
         weight: Inverse variance of residuals (na, S).
-        worth: Samples that an independent one is worth (na,).
-        own: Whether the sensitivities are of this vector, rather than of one nearby.
+        worth: Number of samples per independent one (na,).
+        own: Whether the sensitivities belong to this vector, rather than to one nearby.
     """
 
     residual: np.ndarray
@@ -354,7 +355,7 @@ class _Linearised(NamedTuple):
 def _linearise(problem: LoopProblem, x: np.ndarray, prior: LoopPrior, worth: np.ndarray | None) -> _Linearised:
     """Return the problem about a vector (chord method).
 
-    Sensitivities hold as far as the steps that they are differences over.
+    Sensitivities are valid within the steps of their differences.
     Reference: Kelley 1995, 5.4.
     """
     slopes = problem.slopes
@@ -372,7 +373,7 @@ def _linearise(problem: LoopProblem, x: np.ndarray, prior: LoopPrior, worth: np.
 
 
 def _weigh(problem: LoopProblem, r: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """Return the inverse variances (na, S) of residuals (N, na, S): each log's own, within a factor of its joint's."""
+    """Return the inverse variances (na, S) of residuals (N, na, S): one per log, within a factor of its joint's."""
     own = np.sqrt((r**2).sum(axis=0) / np.maximum(problem.used.sum(axis=0), 1))
     return np.clip(own, sigma[:, None] / MAX_CONTRAST, sigma[:, None] * MAX_CONTRAST) ** -2.0
 
@@ -404,7 +405,7 @@ def _sum_squares(r: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 def _find_held(u: LoopUnknowns, x: np.ndarray, g: np.ndarray) -> np.ndarray:
-    """Return which unknowns (n,) a bound holds against the gradient."""
+    """Return the unknowns (n,) that a bound holds against the gradient."""
     m = int(u.free.sum())
     held = np.zeros(len(x), dtype=bool)
     held[:m] = ((x[:m] <= u.lower[u.free]) & (g[:m] <= 0)) | ((x[:m] >= u.upper[u.free]) & (g[:m] >= 0))
@@ -412,7 +413,7 @@ def _find_held(u: LoopUnknowns, x: np.ndarray, g: np.ndarray) -> np.ndarray:
 
 
 def _step(H: np.ndarray, g: np.ndarray, lam: float, held: np.ndarray, prior: LoopPrior, x: np.ndarray) -> np.ndarray:
-    """Return the next vector by a damped step among the unknowns that no bound holds, as far as bodies exist."""
+    """Return the next vector by a damped step of the unknowns that are not at a bound, with consistent bodies."""
     loose = ~held
     d = np.zeros(len(x))
     A = H[np.ix_(loose, loose)]
@@ -423,7 +424,7 @@ def _step(H: np.ndarray, g: np.ndarray, lam: float, held: np.ndarray, prior: Loo
 
 
 def _compute_covariance(H: np.ndarray, scatter: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """Return the sandwich covariance (n, n), without what bounds hold."""
+    """Return the sandwich covariance (n, n), without the unknowns at bounds."""
     loose = np.flatnonzero(~held)
     out = np.zeros_like(H)
     A = H[np.ix_(loose, loose)]

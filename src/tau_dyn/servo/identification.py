@@ -1,9 +1,9 @@
-"""Logs of commands and positions -> masses, friction and the servo's unknowns: the whole main path in one place.
+"""Logs of commands and positions -> masses, friction and the servo's unknowns: the main path.
 
     robot, law, logs -> Records -> contact left out -> screen (equation error) -> directions -> output error -> errors
 
-Masses and friction scale with the law's torque. Where no law is given, the gains are estimated, and the robot file's
-masses, or a weighed one, set the scale; the answer says so.
+Masses and friction scale with the law's torque. If no law is given, the gains are estimated, and the robot file's masses, or a
+weighed one, set the scale; the result states this.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from tau_dyn.servo.unknowns import JOINT_UNITS, get_unit
 from tau_dyn.simulate import SERVO_ENTRIES
 
 SETTLED_FOR_ERRORS = 1.0
-"""Change of unknowns over standard errors from which a fit's held-out error counts as settled: their own scatter changes it as
-much."""
+"""Change of unknowns over standard errors below which a fit's held-out error counts as converged: their own scatter changes it
+as much."""
 TRAIN_SHARE = 0.7
-"""Where no held-out log is given, a fit of this first part of each log predicts the rest."""
+"""Share of each log whose fit predicts the rest, if no held-out log is given."""
 
 
 def identify_loop(
@@ -127,7 +127,7 @@ def _build_result(
 
 
 def _list_joint_rows(data: LoopData, fit: LoopFit, values: Mapping[str, np.ndarray]) -> list[LoopParameter]:
-    """Return what was estimated at joints, joint by joint."""
+    """Return the estimated parameters of joints, joint by joint."""
     u, sigma = data.unknowns, np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     where = np.full(u.free.shape, -1)
     where[u.free] = np.arange(int(u.free.sum()))
@@ -155,11 +155,11 @@ def _list_joint_rows(data: LoopData, fit: LoopFit, values: Mapping[str, np.ndarr
 def _list_body_rows(
     data: LoopData, fit: LoopFit, theta: np.ndarray, seed: int
 ) -> tuple[list[LoopParameter], tuple[LoopParameter, ...]]:
-    """Return the bodies' parameters that are free, and the combinations that motion can show."""
+    """Return the bodies' free parameters, and their identifiable combinations."""
     space, m = data.space, data.unknowns.n - data.space.n_unknowns
     parameters = data.model.robot.parameters
     D, cov = space.directions, fit.covariance[m:, m:]
-    total = D @ cov @ D.T + np.diag(space.prior**2) - D @ D.T  # what the logs do not inform on keeps its prior
+    total = D @ cov @ D.T + np.diag(space.prior**2) - D @ D.T  # directions without information keep their prior
     free = [k for k, p in enumerate(parameters) if space.prior[k] > 0 and not p.name.endswith(".armature")]
     if not free:
         return [], ()

@@ -2,10 +2,11 @@
 
     (I(t) + armature) v' + load(t) + G(t) (q - q_along) + friction = tau(law, command, q, v)
 
-What the rest of the robot does to a joint (gravity, Coriolis and the other joints' accelerations) is a load taken along a
-motion close to the simulated one; its own gravity is linearised about that motion. The exact simulation of the coupled robot
-takes them along the simulated motion itself, window by window in turn until nothing changes (waveform relaxation). A step then
-holds all joints (projected Gauss-Seidel): a change of any speed or position pushes the others, by mass matrix and gravity slopes.
+The effect of the rest of the robot on a joint (gravity, Coriolis and the other joints' accelerations) is a load, evaluated
+along a motion close to the simulated one; the joint's own gravity is linearised about that motion. The exact simulation of the
+coupled robot evaluates loads along the simulated motion itself, repeated window by window until convergence (waveform
+relaxation). A step then holds all joints (projected Gauss-Seidel): a change of any speed or position pushes the others, by mass
+matrix and gravity slopes.
 
 One step of h by the trapezoidal rule, linearly implicit in the motor's damping d and the viscous one b, with torque and
 load at the middle of the step and friction f that holds exactly (a box complementarity problem of one unknown):
@@ -13,15 +14,16 @@ load at the middle of the step and friction f that holds exactly (a box compleme
     w = (I / h + (d - b) / 2) v + tau - load,   f = clip(w, -F, F),   v+ = (w - f) / (I / h + (d + b) / 2),
     q+ = q + h (v + v+) / 2.
 
-Where v would change its sign, the step is parted at rest, so that a small change of a parameter moves a stop by little.
+If v would change its sign, the step is divided at rest, so that a small change of a parameter moves a stop by little.
 
-With a spring between motor (w, its armature B, the friction) and link (v, I), the twist's own motion is taken exactly over
-the step (`solve_spring`) and its centre of mass by the rule above; friction then sees the mobility of the pair. A play opens
-the spring; without compliance its stops are springs that the step resolves, critically damped.
+With a spring between motor (w, its armature B, the friction) and link (v, I), the twist's own motion is solved exactly over the
+step (`solve_spring`) and its centre of mass by the rule above; friction then sees the mobility of the pair. A play opens the
+spring; without compliance its stops are springs that the step resolves, critically damped.
 
-A command holds until the next; a delay moves it by parts of a step, so that the answer has a derivative by it.
-Reference: Lelarasmee, Ruehli & Sangiovanni-Vincentelli 1982 (waveform relaxation); Moreau 1988 (dry friction);
-Jourdan, Alart & Jean 1998 (Gauss-Seidel); Spong 1987.
+A command holds until the next; a delay moves it by fractions of a step, so that the response has a derivative with respect to
+it.
+Reference: Lelarasmee, Ruehli & Sangiovanni-Vincentelli 1982 (waveform relaxation); Moreau 1988 (dry friction); Jourdan, Alart &
+Jean 1998 (Gauss-Seidel); Spong 1987.
 """
 
 from __future__ import annotations
@@ -38,18 +40,18 @@ from tau_dyn.servo.compiled_loop import run_compiled
 from tau_dyn.servo.waves import LoadRows, Trials, Waves
 
 FINE_STEP_S = 0.0026
-"""Longest step where the residual is so small that the longer one would show [s]; it moves positions by less than 0.05 mrad."""
+"""Longest step [s] if the residual is too small for the longer one; it changes positions by less than 0.05 mrad."""
 MIN_INERTIA = 1e-6
-"""Smallest inertia of a joint that is stepped [kg m^2]; smaller ones come from bad trial values only."""
+"""Smallest inertia of a joint in a step [kg m^2]; smaller ones result from bad trial values only."""
 
 BEND = 0.02
 """Share of the supply below which a bent drive law is straight, so that its slope stays finite."""
 SETTLED_SPEED = 1e-9
-"""Change of speeds from which a step of coupled joints has settled [rad/s]: a hundred thousandth of what an encoder shows."""
+"""Change of speeds below which a step of coupled joints has converged [rad/s]: 1e-5 of an encoder's resolution."""
 MAX_STEP_SWEEPS = 200
 """Sweeps over the joints of such a step (projected Gauss-Seidel), at most."""
 CONTACT_TURN = 3.0
-"""Turn of a stop's own oscillation in a step [rad], critically damped: it settles within two steps."""
+"""Phase of a stop's own oscillation in a step [rad], critically damped: it decays within two steps."""
 
 
 def simulate_loops(waves: Waves, trials: Trials) -> np.ndarray:
@@ -74,13 +76,13 @@ def _simulate(waves: Waves, trials: Trials, motion: bool) -> np.ndarray:
 
 
 def _cut_delays(values: Mapping[str, np.ndarray], longest: float) -> dict[str, np.ndarray]:
-    """Return values whose delays are no longer than the logs [s], which is as late: so many steps are held in memory."""
+    """Return values with delays limited to the length of the logs [s]: the effect is the same with fewer steps in memory."""
     late = {key: np.nan_to_num(values[key], nan=longest) for key in ("command_delay", "torque_delay") if key in values}
     return {**values, **{key: np.clip(x, -longest, longest) for key, x in late.items()}}
 
 
 def _simulate_in_numpy(waves: Waves, trials: Trials, often: int) -> np.ndarray:
-    """Return what compiled code returns, all joints, trials and logs stepped at once."""
+    """Return the result of the compiled code, with all joints, trials and logs stepped at once."""
     n, na, s = waves.command.shape
     coupling, shape = waves.coupling, (na, trials.inertial.shape[1], s)
     out = np.empty((3, n, *shape))
@@ -103,11 +105,11 @@ def _simulate_in_numpy(waves: Waves, trials: Trials, often: int) -> np.ndarray:
 
 
 _OPTIONAL = ("dead_band", "supply_sag", "load_friction", "carried_friction", "stiction")
-"""Entries that cost nothing where no trial has them."""
+"""Entries that take no computing time unless a trial has them."""
 
 
 class _Sample(NamedTuple):
-    """What holds from one sample to the next: arrays that fit (na, C, S)."""
+    """Quantities that hold from one sample to the next: arrays that broadcast to (na, C, S)."""
 
     mass_h: np.ndarray
     supply: np.ndarray
@@ -123,7 +125,7 @@ class _Loops:
     """Servo loops and their state."""
 
     def __init__(self, waves: Waves, trials: Trials, often: int, out: np.ndarray, rows: LoadRows | None = None) -> None:
-        """Start at the first sample; what is stepped goes to `out` (3, N, na, C, S)."""
+        """Start at the first sample; the simulated states are written to `out` (3, N, na, C, S)."""
         self._waves, self._often, self._out, self._rows = waves, often, out, rows
         shape, p = out.shape[2:], {key: value[:, :, None] for key, value in trials.values.items()}
         self._p = p = p | {key: value[:, None, :] for key, value in waves.by_log.items()}
@@ -146,7 +148,7 @@ class _Loops:
         self._show(0)
 
     def copy_state(self) -> list[Any]:
-        """Return the state, which later steps leave as it is."""
+        """Return a copy of the state, which later steps do not change."""
         return [copy(x) for x in self._state]
 
     def take_state(self, state: list[Any]) -> None:
@@ -160,7 +162,7 @@ class _Loops:
     def _follow_law(
         self, goal: np.ndarray, seen: np.ndarray, speed: np.ndarray, integral: np.ndarray, before: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray, np.ndarray]:
-        """Return the law's output, its slope by the speed (None where none acts at once), the integral and the last speed."""
+        """Return the law's output, its slope by the speed (None without an immediate effect), the integral and the last speed."""
         p, h, told = self._p, self._h, self._waves.told
         half, e, u = 0.5 * h, goal, goal
         if told not in ("position", "speed"):
@@ -172,7 +174,7 @@ class _Loops:
                 e = np.sign(e) * np.maximum(np.abs(e) - p["dead_band"], 0.0)
             u = p["position_gain"] * e - p["derivative_gain"] * speed
         inner, slow = p["speed_gain"] > 0, None
-        if np.any(inner):  # a loop of speed, alone or inside that of position
+        if np.any(inner):  # a speed loop, alone or inside the position loop
             lag = np.clip(u, -p["speed_limit"], p["speed_limit"]) - speed
             e, u = np.where(inner, lag, e), np.where(inner, p["speed_gain"] * lag, u)
             slow, gain = np.where(inner, p["speed_gain"], 0.0), np.where(inner, p["speed_integral_gain"], gain)
@@ -192,7 +194,7 @@ class _Loops:
             self._show(k + 1)
 
     def _read_sample(self, k: int) -> _Sample:
-        """Return what holds from one sample to the next."""
+        """Return the quantities that hold from one sample to the next."""
         waves, p, load = self._waves, self._p, self._load
         if self._joint is not None:
             self._joint.set_inertia(self._inertia[k])
@@ -209,13 +211,13 @@ class _Loops:
         )
 
     def _step_once(self, k: int, i: int, sample: _Sample) -> None:
-        """Take step `i` of sample `k`: the law, the motor's torque, loads and friction, the motion."""
+        """Compute step `i` of sample `k`: the law, the motor's torque, loads and friction, the motion."""
         waves, p, h, has = self._waves, self._p, self._h, self._has
         m, w, q, v, before, integral, gained, goal, delayed = self._state
         half = 0.5 * h
         seen, speed = (m, w) if waves.encoder_on_motor else (q, v)
         u, slow, integral, before = self._follow_law(goal.at(k * self._often + i), seen, speed, integral, before)
-        loses = p["back_emf"]  # what the motor's torque loses per unit of its speed
+        loses = p["back_emf"]  # loss of the motor's torque per unit of its speed
         if slow is not None:
             loses = loses + np.where((np.abs(u) < p["limit"]) & (p["torque_delay"] == 0), sample.supply * slow, 0.0)
         u = np.minimum(np.maximum(u, -p["limit"]), p["limit"])
@@ -294,7 +296,7 @@ def _step_together(
 
 
 def _step_rigid(p, state, forces, mass_h, half) -> tuple[np.ndarray, np.ndarray]:  # noqa: ANN001
-    """Return positions and speeds (na, C, S) after a step of joints without a spring, parted where they come to rest."""
+    """Return positions and speeds (na, C, S) after a step of joints without a spring, divided where they come to rest."""
     (q, v), (push, rest, damping, friction) = state, forces
     wanted = mass_h * v + push - rest  # what friction acts on
     slid = (wanted - np.sign(v) * friction) / (mass_h + damping)
@@ -308,7 +310,7 @@ def _step_rigid(p, state, forces, mass_h, half) -> tuple[np.ndarray, np.ndarray]
 
 
 class _Twist:
-    """A spring and a play between motor and link; where a joint has neither, motor and link are one."""
+    """A spring and a play between motor and link; without both, motor and link are rigidly connected."""
 
     def __init__(self, p: Mapping[str, np.ndarray], h: np.ndarray, load: np.ndarray) -> None:
         self._p, self._h, self._gap = p, h, 0.5 * p["backlash"]
@@ -317,7 +319,7 @@ class _Twist:
         self.start = p["joint_compliance"] * load + np.sign(load) * self._gap
 
     def set_inertia(self, link: np.ndarray) -> None:
-        """Take the link's inertia (na, C, S) [kg m^2] over a sample."""
+        """Store the link's inertia (na, C, S) [kg m^2] over a sample."""
         p, h = self._p, self._h
         motor, link = np.maximum(p["armature"], MIN_INERTIA), np.maximum(link, MIN_INERTIA)
         self._total, self._share = motor + link, link / (motor + link)
@@ -350,9 +352,9 @@ def solve_spring(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a and S of a step `S rate+ = a S rate - stiffness twist + force`, `twist+ = twist + h (rate + rate+) / 2`.
 
-    Its two eigenvalues are those of `mu twist'' + damping twist' + stiffness twist = 0` over h, exactly, and a constant
-    force twists by force / stiffness. Where the step turns by more than one radian, damping is added, so that what the
-    step cannot show fades.
+    Its two eigenvalues are those of `mu twist'' + damping twist' + stiffness twist = 0` over h, exactly, and a constant force
+    twists by force / stiffness. If the step turns by more than one radian, damping is added, so that oscillations that the step
+    cannot resolve decay.
     """
     square, sigma = stiffness / mu * h**2, 0.5 * damping / mu * h
     late = sigma + np.maximum(0.0, np.sqrt(square) - 1.0)
@@ -367,7 +369,7 @@ def solve_spring(
 
 
 class _Delay:
-    """The law's output (na, C, S) some steps later, by parts of a step."""
+    """The law's output (na, C, S), delayed by fractions of steps."""
 
     def __init__(self, late: np.ndarray, shape: tuple[int, ...]) -> None:
         self._late = np.broadcast_to(late, shape)
@@ -375,7 +377,7 @@ class _Delay:
         self._past: list[np.ndarray] = []
 
     def pass_on(self, u: np.ndarray) -> np.ndarray:
-        """Take in what the law says now, and return what the motor does."""
+        """Store the law's present output, and return the motor's delayed one."""
         if not np.any(self._late):
             return u
         keep = int(self._whole.max()) + 2
@@ -388,7 +390,7 @@ class _Delay:
 
 
 def _combine(first: np.ndarray, by: np.ndarray, trials: Trials) -> np.ndarray:
-    """Return a wave (N, na, C, S) at the trials' inertial values."""
+    """Return a signal (N, na, C, S) at the trials' inertial values."""
     if not by.shape[2] or not np.any(trials.inertial):
         return first[:, :, None, :]
     if np.all(trials.inertial == trials.inertial[:, :1]):
@@ -397,7 +399,7 @@ def _combine(first: np.ndarray, by: np.ndarray, trials: Trials) -> np.ndarray:
 
 
 class _Goal:
-    """The goal position over the steps: commands that come late, are rounded, and pass the profile generator."""
+    """The goal position over the steps: commands are delayed, rounded, and passed through the profile generator."""
 
     def __init__(
         self, waves: Waves, p: Mapping[str, np.ndarray], often: int, h: np.ndarray, shape: tuple[int, ...]
@@ -443,7 +445,7 @@ class _Goal:
         if self._passes is not None:
             j, c, s = np.ogrid[: target.shape[0], : target.shape[1], : target.shape[2]]
             now, then = (self._passes[np.clip(i // self._often, 0, self._last), j, c, s] for i in (first, first - 1))
-            passes = now | (then & (one == before))  # a delay by parts of a step ends a step late
+            passes = now | (then & (one == before))  # a fractional delay ends a step late
         return self._follow(one, before, passes)
 
     def _follow(self, one: np.ndarray, before: np.ndarray, passes: np.ndarray | None) -> np.ndarray:
@@ -456,7 +458,7 @@ class _Goal:
             target = one + np.clip(self._part * self._finer - n, 0.0, 1.0) * (before - one)
             distance = target - x
             apart, way = np.abs(distance), np.sign(distance)
-            room = np.maximum(apart - 0.5 * h * way * w, 0.0)  # left after the step if it ends at rest
+            room = np.maximum(apart - 0.5 * h * way * w, 0.0)  # remaining distance after the step if it ends at rest
             wanted = np.minimum(np.where(bounded, np.sqrt(half**2 + 2.0 * limit * room) - half, apart / h), self._speed)
             after = np.where(
                 bounded, w + np.minimum(np.maximum(way * wanted - w, -2.0 * half), 2.0 * half), way * wanted

@@ -1,7 +1,7 @@
-"""Positions of a coupled robot from commands alone: servo loops whose loads are taken along the simulated motion itself.
+"""Positions of a coupled robot from commands alone: servo loops whose loads are evaluated along the simulated motion itself.
 
-Window by window, loads are taken along a motion, the loops are simulated, the loads are taken along the result, until nothing
-moves (waveform relaxation). Where it ends does not depend on where it began: with the measured motion, where there is one.
+Window by window, loads are evaluated along a motion, the loops are simulated, and the loads are evaluated along the result,
+until convergence (waveform relaxation). The result does not depend on the first motion, which is the measured one if available.
 """
 
 from __future__ import annotations
@@ -29,23 +29,24 @@ from tau_dyn.servo.waves import JointCoupling, LoadRows, Trials
 from tau_dyn.simulate import ServoLaw
 
 WINDOW_S = 0.5
-"""Length over which loads and motion settle together before the next window begins [s]: a few time constants of a servo's loop,
-over which the mass matrix changes little."""
+"""Length of a window over which loads and motion converge together [s]: a few time constants of a servo's loop, over which the
+mass matrix changes little."""
 MAX_SWEEPS = 16
-"""Sweeps of a window at most; three are usual."""
+"""Largest number of sweeps of a window; three are usual."""
 SETTLED_RAD = 1e-5
-"""Largest change of positions at which a window has settled [rad]: a hundredth of a step of a hobby servo's encoder. The next
+"""Largest change of positions at which a window has converged [rad]: a hundredth of a step of a hobby servo's encoder. The next
 sweep would change a tenth of it."""
 
 UNSETTLED_RAD = 1e-4
-"""Change of positions after the last sweep from which a window is told as not settled [rad]: a tenth of an encoder's step."""
+"""Change of positions after the last sweep from which a window is reported as not converged [rad]: a tenth of an encoder's
+step."""
 
 
 class SimulatedMotion(NamedTuple):
     """A log's motion, simulated, at its samples (N, na): positions of the measured side, the links' positions and speeds.
 
     Accelerations are means over the time from half a sample before to half a sample after. `unsettled` is the time [s] from
-    which loads and motion kept changing each other, None where they settled.
+    which loads and motion did not converge, or None.
     """
 
     q: np.ndarray
@@ -69,8 +70,8 @@ def simulate_coupled(
         space: Inertial numbers.
         unknowns: Their unknowns (K,).
         values: Joint values and law entries (na,).
-        law: Says what differs by log.
-        records: Commands, starts and motions to begin with.
+        law: The law, for the entries that differ between logs.
+        records: Commands, starts and initial motions.
         step: Longest step of the loops [s].
     """
     fine = FineRecords.of(records, step)
@@ -95,10 +96,10 @@ def differentiate_coupled(
     records: Sequence[LoopRecord],
     step: float,
 ) -> list[np.ndarray]:
-    """Return how positions (N, na, C) of each record change from the first trial to each one, joints coupled.
+    """Return the changes of positions (N, na, C) of each record from the first trial to each one, joints coupled.
 
-    Loads, mass matrix and slopes of gravity are those along the first trial's motion, so that joints answer each other's changes
-    of acceleration and position; what another joint's change of speed does to a load is left out.
+    Loads, mass matrix and slopes of gravity are those along the first trial's motion, so that joints respond to each other's
+    changes of acceleration and position; the effect of another joint's change of speed on a load is neglected.
     """
     fine = FineRecords.of(records, step)
     first = {key: value[:, 0] for key, value in trials.values.items()}
@@ -121,12 +122,12 @@ def differentiate_coupled(
 
 
 class FineRecords(NamedTuple):
-    """Records with samples between the measured ones, by which coupled joints are stepped.
+    """Records with samples between the measured ones, for steps of coupled joints.
 
     Attributes:
         records: The records.
         guesses: Motions near theirs, positions and speeds (N, na).
-        times: Samples for each measured one.
+        times: Number of samples per measured one.
         every: Samples between matrices.
         step: Longest step [s].
     """
@@ -139,7 +140,7 @@ class FineRecords(NamedTuple):
 
     @classmethod
     def of(cls, records: Sequence[LoopRecord], step: float) -> FineRecords:
-        """Return records as fine as a step asks for."""
+        """Return records as fine as a step requires."""
         times = max(1, int(np.ceil(max(r.dt for r in records) / step - 1e-9)))
         fine = [refine_record(r, times) for r in records]
         guesses = [[refine(x, times) for x in r.motion[:2]] for r in records]
@@ -160,7 +161,7 @@ class FineRecords(NamedTuple):
 
 
 def _build_first_loads(mechanism: Mechanism, record: LoopRecord) -> LoadWaves:
-    """Return no loads but that of the first sample, which twists a spring before the loops are stepped."""
+    """Return empty loads except at the first sample, whose load twists a spring before the loops are stepped."""
     zero = np.zeros((*record.q.shape, 1))
     load, start = zero.copy(), record.q[:1] if record.start is None else np.atleast_2d(record.start)
     load[0, :, 0] = mechanism.inverse_dynamics(start, np.zeros_like(start), np.zeros_like(start))[0]
@@ -176,7 +177,7 @@ class _Relaxation:
         guesses: A motion near that of each log, positions and speeds (N, na).
         dt: Time between samples of each log [s].
         every: Samples between matrices.
-        unsettled: Logs -> the first sample of the first window that did not settle; filled on the way.
+        unsettled: Logs -> the first sample of the first window that did not converge; filled during the simulation.
     """
 
     mechanism: Mechanism
@@ -186,9 +187,9 @@ class _Relaxation:
     unsettled: dict[int, int] = field(default_factory=dict)
 
     def settle(self, rows: LoadRows, log: int, begin: int, stop: int, turn: int) -> int:
-        """Take loads along a window's motion, at first along a guess that starts where the window does; 1 where they settled."""
+        """Evaluate loads along a window's motion, first along a guess from the window's start; return 1 if they converged."""
         part = slice(begin, stop + 1)
-        if begin >= len(self.guesses[log][0]) - 1:  # beyond the log's end, where the joints are of no interest
+        if begin >= len(self.guesses[log][0]) - 1:  # beyond the log's end
             first = begin // self.every
             rows.inertia[part, :, log], rows.mass[log, first:] = rows.inertia[begin - 1, :, log], rows.mass[log, first]
             return 1
@@ -205,7 +206,7 @@ class _Relaxation:
         if not np.isfinite(rows.motion[:, part, :, log]).all():
             self.unsettled.setdefault(log, begin)
             return 1  # trial values that no step can follow
-        if not turn:  # loads hold what the matrices of the first motion do not
+        if not turn:  # loads contain the terms that the matrices of the first motion lack
             fill_coupled_matrices(self.mechanism, rows, log, part, self.every)
         fill_coupled_loads(self.mechanism, rows, log, part, self.every, self.dt[log])
         return 0
@@ -213,11 +214,11 @@ class _Relaxation:
 
 @dataclass(frozen=True, eq=False)
 class _HeldLoads:
-    """Loads along one motion, taken once and held for others near it.
+    """Loads along one motion, evaluated once and used for others near it.
 
     Attributes:
-        relaxation: Takes them.
-        kept: Log and begin of a window -> whether it is beyond the log's end, and its rows.
+        relaxation: Evaluates them.
+        kept: Log and start of a window -> whether it is beyond the log's end, and its rows.
     """
 
     relaxation: _Relaxation
@@ -229,7 +230,7 @@ class _HeldLoads:
         return self.relaxation.mechanism
 
     def settle(self, rows: LoadRows, log: int, begin: int, stop: int, turn: int) -> int:
-        """Write a window's loads; 1 once it is stepped."""
+        """Write a window's loads; return 1 after its step."""
         if turn:
             return 1
         part, every = slice(begin, stop + 1), self.relaxation.every

@@ -1,12 +1,12 @@
-"""A robot, logs of commands and positions, and what is said of them -> what a fit through the loop starts from.
+"""A robot, logs of commands and positions, and options -> the data from which a fit through the loop starts.
 
     Records -> contact left out -> screen (equation error) -> directions of the bodies' numbers -> unknowns at their start
 
 `identify_loop` and `diagnose_loop` share it, and their options.
 
-Equation error, a screen and a start: the torque that the law makes of command and position against the robot's own.
+Equation error, a screen and a start: the torque that the law computes from command and position minus the robot's own.
 
-Where the servo saturates or its law is incomplete it is biased, so that output error follows (`fit.py`).
+If the servo saturates or its law is incomplete, it is biased; therefore output error follows (`fit.py`).
 Reference: Ljung 1999, 7.2.
 """
 
@@ -35,29 +35,29 @@ from tau_dyn.servo.waves import MAX_STEP_S, SPRING_STEP_S
 from tau_dyn.simulate import COMMANDS, SERVO_ENTRIES, ServoLaw
 
 DELAYS_S = np.arange(0.0, 0.0601, 0.0025)
-"""Command delays that the screen tries [s]: none to three periods of a 50 Hz bus."""
+"""Command delays that the screen tries [s]: from zero to three periods of a 50 Hz bus."""
 
 MOVING = 0.03
-"""Speed from which a joint's friction has a direction [rad/s]: twice what a step of a 12 bit encoder makes at 20 ms."""
+"""Speed from which a joint's friction has a direction [rad/s]: twice the speed of one step of a 12 bit encoder in 20 ms."""
 
 MAX_DIRECTIONS = 40
-"""Directions of the inertial numbers that are estimated at most; an arm of six joints has some 36."""
+"""Largest number of estimated directions of the inertial numbers; an arm of six joints has some 36."""
 
 MIN_INFORMATION = 1e-5
-"""Information of a direction, with prior knowledge as 1, from which it is estimated. It is small: what a log hardly
-shows may stand for something else, as gravity at a joint that barely turns for a constant torque."""
+"""Information of a direction, with prior knowledge as 1, from which it is estimated. It is small: a quantity that a log hardly
+shows may compensate another one, as gravity at a joint that barely turns a constant torque."""
 
 INFORMATION_S = 0.02
-"""Time between the samples that directions are chosen by [s]: a fourth of a period of the motion's low-pass."""
+"""Time between the samples from which directions are chosen [s]: a quarter of a period of the motion's low-pass."""
 
 
 @dataclass(frozen=True, eq=False)
 class EquationError:
-    """The screen: what the rebuilt torque says.
+    """The screen: start values from the torque of the law.
 
     Attributes:
         values: Start values of kinds (na,).
-        residual: Torque that remains, record by record (N, na) [N m]; NaN where a joint rests.
+        residual: Residual torque, record by record (N, na) [N m]; NaN where a joint rests.
         sigma: Its rms (na,) [N m].
     """
 
@@ -67,7 +67,7 @@ class EquationError:
 
 
 def delay_command(command: np.ndarray, dt: float, delay: float) -> np.ndarray:
-    """Return held commands (N, na) as a delay [s] later shows them at the samples, averaged over the sample before."""
+    """Return held commands (N, na), delayed by a time [s], at the samples, averaged over the previous sample."""
     n = len(command)
     total = np.concatenate([np.zeros((1, command.shape[1])), np.cumsum(command, axis=0)])
     at = np.clip(np.arange(n + 1) - 0.5 - delay / dt, 0, n)
@@ -81,7 +81,7 @@ def delay_command(command: np.ndarray, dt: float, delay: float) -> np.ndarray:
 def screen_equation_error(
     law: ServoLaw, space: InertialSpace, records: Sequence[LoopRecord], estimate_gain: bool
 ) -> EquationError:
-    """Return the best delay, friction and drive inertia of each joint by the rebuilt torque, bodies as the file has them."""
+    """Return the best delay, friction and drive inertia of each joint by the law's torque, with the bodies of the file."""
     na = len(law.joints)
     values = {key: np.array(law.values[key]) for key in ("position_gain", "command_delay")}
     values |= {key: np.zeros(na) for key in JOINT_UNITS}
@@ -111,7 +111,7 @@ def screen_equation_error(
         rms, delay, beta, rows = best
         values["command_delay"][j] = delay
         scale = 1.0
-        if estimate_gain:  # the rows are of positions: 1 / gain times torque
+        if estimate_gain:  # rows in units of position: 1 / gain times torque
             share = beta[4] if beta[4] > 0 else np.nan
             scale = 1.0 / share
             values["position_gain"][j] = scale / law.values["force_per_unit"][j]
@@ -126,7 +126,7 @@ def screen_equation_error(
 
 
 def _fill_gains(values: dict[str, np.ndarray], law: ServoLaw) -> dict[str, np.ndarray]:
-    """Return the values with gains that no gravity showed taken from the other joints, and friction with them."""
+    """Return the values with gains that gravity does not determine, and their friction, taken from the other joints."""
     gain = values["position_gain"]
     known = np.isfinite(gain) & (gain > 0.05) & (gain < 1e4)
     usual = float(np.median(gain[known])) if known.any() else 5.0
@@ -173,7 +173,7 @@ def _rebuild_output(r: LoopRecord, j: int, goal: np.ndarray, error: np.ndarray) 
 
 
 def choose_directions(space: InertialSpace, records: Sequence[LoopRecord], screen: EquationError) -> InertialSpace:
-    """Return the space with the directions of which the logs know more than the robot file."""
+    """Return the space with the directions on which the logs are more informative than the robot file."""
     p = len(space.nominal)
     information = np.zeros((p, p))
     for r in records:
@@ -182,7 +182,7 @@ def choose_directions(space: InertialSpace, records: Sequence[LoopRecord], scree
         if len(some) < 10:
             continue
         Y = space.model.mechanism.regressor(*(x[some] for x in r.motion)) * space.prior
-        worth = max(1.0, 0.5 / r.dt) / every  # samples that one independent residual is worth, at half a second
+        worth = max(1.0, 0.5 / r.dt) / every  # samples per independent residual, at half a second
         for j in range(r.q.shape[1]):
             X = np.ascontiguousarray(Y[:, j])
             information += X.T @ X / (screen.sigma[j] ** 2 * worth)
@@ -193,24 +193,24 @@ def choose_directions(space: InertialSpace, records: Sequence[LoopRecord], scree
 
 
 ALWAYS = ("armature", "command_delay")
-"""What is estimated of every joint beside friction, unless the law or `--fix` gives it."""
+"""Entries estimated for every joint in addition to friction, unless the law or `--fix` gives them."""
 MIN_SECONDS = 5.0
-"""Shortest data that a loop is identified from [s]: some ten time constants of a servo."""
+"""Shortest data for the identification of a loop [s]: some ten time constants of a servo."""
 
 Progress = Callable[[str], None]
 
 
 class LoopOptions(TypedDict, total=False):
-    """What may be said to `identify_loop` and `diagnose_loop`; everything may be left out.
+    """Options of `identify_loop` and `diagnose_loop`; all are optional.
 
     Attributes:
         law: The servo's law; None to estimate its gains.
-        holdout: Logs to judge on; without any, the last 30 % of each log, predicted by a fit of the first 70 %, or, of a
-            diagnosis, blocks of the logs.
+        holdout: Held-out logs for evaluation; by default the last 30 % of each log, predicted by a fit of the first 70 %, or
+            blocks of the logs for a diagnosis.
         model: `rigid` for no friction; any other name for friction that is the same in both directions.
-        choices: What is fixed, free, bounded or measured beforehand; servo entries by `JOINT.entry`, too.
+        choices: Parameters that are fixed, free, bounded or measured beforehand; servo entries by `JOINT.entry`, too.
         exclude: Log columns whose nonzero samples are left out.
-        seed: Seed of whatever is random: the structural study, the bootstrap.
+        seed: Seed of all random steps: the structural study, the bootstrap.
         progress: Called with a word for each step.
     """
 
@@ -225,7 +225,7 @@ class LoopOptions(TypedDict, total=False):
 
 @dataclass(frozen=True, eq=False)
 class LoopLogs:
-    """Logs on even clocks, free of contact, and what was said of them.
+    """Logs on even clocks, free of contact, with the options given for them.
 
     Attributes:
         model: Robot and friction, at start values.
@@ -234,11 +234,11 @@ class LoopLogs:
         held: Held-out logs.
         kept: Records of the training logs.
         others: Records of the held-out logs.
-        contacts: Where the tool rested on something.
-        own: What was said of servo entries.
-        friction: Name of the friction model; empty for that of a model given.
-        warnings: What is doubtful of the logs.
-        seed: Seed of whatever is random.
+        contacts: Contacts of the tool with an object.
+        own: Choices for servo entries.
+        friction: Name of the friction model; empty for that of a given model.
+        warnings: Warnings about the logs.
+        seed: Seed of all random steps.
         progress: Called with a word for each step.
     """
 
@@ -257,7 +257,7 @@ class LoopLogs:
 
 
 def is_loop_log(log: Log | Recording, robot: Robot) -> bool:
-    """Tell whether a log is one of commands and positions without a torque."""
+    """Return whether a log has commands and positions, but no torque."""
     names = robot.actuated
     if not isinstance(log, Log) or not (log.has("q", names) and log.has("cmd", names)):
         return False
@@ -265,7 +265,7 @@ def is_loop_log(log: Log | Recording, robot: Robot) -> bool:
 
 
 def read_loop_logs(robot: Robot, logs: Log | Recording | Iterable[Log | Recording], options: LoopOptions) -> LoopLogs:
-    """Return logs as a fit needs them.
+    """Return logs in the form that a fit needs.
 
     Raises:
         InputError: A log, the law or a choice is at fault.
@@ -295,7 +295,7 @@ def read_loop_logs(robot: Robot, logs: Log | Recording | Iterable[Log | Recordin
 
 
 def prepare_loop(given: LoopLogs, records: Sequence[LoopRecord]) -> LoopData:
-    """Return what a fit of some records starts from: the screen's values, and the inertial directions that they inform on."""
+    """Return the start of a fit of some records: the screen's values, and the inertial directions that they inform on."""
     model, law, space = given.model, given.law, InertialSpace.of(given.model)
     given.progress("equation error")
     estimate_gain = "position_gain" in law.estimated and not np.any(law.values["speed_gain"])
@@ -322,7 +322,7 @@ def _build_unknowns(
     joints, na = law.joints, len(law.joints)
     kinds = [*ALWAYS, *(FRICTION if friction != "rigid" else ()), *sorted(law.estimated)]
     if "back_emf" in law.estimated and "viscous" in kinds:
-        kinds.remove("viscous")  # one number until the servo saturates
+        kinds.remove("viscous")  # one parameter until the servo saturates
     kinds = list(dict.fromkeys(kinds))
     stiff = compute_stiffness({**law.values, **found})
     start = {key: value for key, value in found.items() if key in kinds}
@@ -350,7 +350,7 @@ def _build_unknowns(
 
 
 def _apply_own(unknowns: LoopUnknowns, own: Choices, joints: tuple[str, ...]) -> LoopUnknowns:
-    """Return the unknowns with what was said about servo entries by name or pattern."""
+    """Return the unknowns with the choices for servo entries, by name or pattern, applied."""
     values = {key: np.array(value) for key, value in unknowns.values.items()}
     free, lower, upper, prior = (np.array(x) for x in (unknowns.free, unknowns.lower, unknowns.upper, unknowns.prior))
     kinds = unknowns.kinds
@@ -378,7 +378,7 @@ def _match(pattern: str, joints: tuple[str, ...]) -> list[tuple[str, int]]:
 
 
 def _split_choices(choices: Choices, robot: Robot) -> tuple[Choices, Choices]:
-    """Return what was said of servo entries, and of everything else."""
+    """Return the choices for servo entries, and all other choices."""
 
     def is_own(text: str) -> bool:
         return bool(_match(text.partition("=")[0], robot.actuated))
@@ -391,20 +391,20 @@ def _split_choices(choices: Choices, robot: Robot) -> tuple[Choices, Choices]:
 
 
 def _build_start(robot: Robot, friction: str) -> Model:
-    """Return the model with friction that is the same in both directions, or none where it is `rigid`."""
+    """Return the model with friction that is the same in both directions, or without friction if it is `rigid`."""
     return Model.of(
         robot, build_friction_model("rigid" if friction == "rigid" else "symmetric", robot.actuated, robot.force_units)
     )
 
 
 def _guess_law(robot: Robot) -> ServoLaw:
-    """Return a law of which nothing is known but that torque grows with the position error."""
+    """Return a law with the only assumption that torque grows with the position error."""
     law = ServoLaw.of(robot.actuated, given=False, position_gain=5.0, force_per_unit=1.0, limit=np.inf)
     return replace(law, estimated=frozenset({"position_gain"}))
 
 
 def _require_in_memory(logs: Sequence[Log | Recording]) -> list[Log]:
-    """Return logs, and refuse recordings that are too large to simulate."""
+    """Return logs, or raise if recordings are too large to simulate."""
     for log in logs:
         if not isinstance(log, Log):
             raise InputError(
@@ -414,7 +414,7 @@ def _require_in_memory(logs: Sequence[Log | Recording]) -> list[Log]:
 
 
 def _refuse_stillness(records: Sequence[LoopRecord]) -> None:
-    """Refuse logs that are too short or in which nothing moves."""
+    """Reject logs that are too short or in which no joint moves."""
     seconds = sum(float(r.used.sum()) * r.dt for r in records)
     if seconds < MIN_SECONDS:
         raise CannotAnswer(

@@ -1,8 +1,8 @@
-"""Logs of commands and positions -> even records, and what a robot does along their motions -> waves for the loop.
+"""Logs of commands and positions -> even records, and the loads of a robot along their motions -> waves for the loop.
 
-A command holds until the next one; a position is interpolated. The inertial numbers of the robot file carry an uncertainty, a
-quarter of each body's size unless the file or `--fix` says otherwise; only the directions in which logs inform more than that are
-unknowns (a likelihood-informed subspace), so that a fit cannot wander where the data say nothing.
+A command holds until the next one; a position is interpolated. The inertial numbers of the robot file have an uncertainty, a
+quarter of each body's size unless the file or `--fix` states another; only the directions in which logs inform more than that
+are unknowns (a likelihood-informed subspace), so that a fit cannot drift in directions without information.
 Reference: Cui, Martin, Marzouk, Solonen & Spantini 2014.
 """
 
@@ -29,17 +29,18 @@ MOTION_HZ = 12.0
 SLOW_S = 0.04
 """Time over which own inertia and stiffness may be interpolated [s]: positions change by less than 0.1 rad."""
 LOAD_S = 2e-3
-"""Time between the loads of coupled joints [s]: speeds change by some percent of what they reach."""
+"""Time between the loads of coupled joints [s]: speeds change by a few per cent of their peaks in it."""
 PIECES = 24
-"""Pieces that logs are cut into for a fit, about; more are no faster."""
+"""Approximate number of pieces into which logs are cut for a fit; more are not faster."""
 MIN_PIECE_S = 10.0
-"""Shortest piece [s]: a start at the measured position hides where friction holds a joint, so starts are rare."""
+"""Shortest piece [s]: a start at the measured position hides the effect of static friction, so starts are rare."""
 WARM_UP_S = 1.0
-"""Start of a piece that does not count [s]: a dozen time constants of a servo's loop."""
+"""Start of a piece that is not used [s]: a dozen time constants of a servo's loop."""
 MAX_SUPPLY = 10.0
-"""Largest supply of a log over the nominal one; more is another unit, such as tenths of a volt, or no supply."""
+"""Largest supply of a log over the nominal one; a larger value has another unit, such as tenths of a volt, or is not a
+supply."""
 ROWS = 20_000
-"""Samples whose regressors are computed at once: 60 MB for an arm of six joints."""
+"""Number of samples whose regressors are computed at once: 60 MB for an arm of six joints."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +53,12 @@ class LoopRecord:
         q: Measured positions (N, na) [rad].
         command: Commands (N, na) [rad, or the law's unit].
         supply: Supply over the nominal one (N,).
-        enabled: 1 where the motor is on (N,).
-        used: Samples that count (N,).
+        enabled: 1 while the motor is on (N,).
+        used: Samples that are used (N,).
         entries: Law entries (na,) that hold in this log.
         start: Positions from which it is simulated (na,) [rad]; None for the measured ones.
         speed: Speeds at the first sample (na,) [rad/s]; None for rest.
-        told: What commands are, of `simulate.COMMANDS`.
+        told: Kind of the commands, one of `simulate.COMMANDS`.
     """
 
     name: str
@@ -74,7 +75,7 @@ class LoopRecord:
 
     @property
     def goal(self) -> np.ndarray:
-        """Positions (N, na) that commands alone ask for: integrated speeds; where they are torques, to stay."""
+        """Positions (N, na) that commands alone request: integrated speeds for speed commands, constant positions for torques."""
         if self.told == "position":
             return self.command
         if self.told != "speed":
@@ -95,7 +96,7 @@ class LoopRecord:
 
 
 def smooth_motion(q: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return positions (N, na) without what is above `MOTION_HZ`, and their derivatives."""
+    """Return positions (N, na), low-passed at `MOTION_HZ`, and their derivatives."""
     smooth = lowpass(q, MOTION_HZ, 1 / dt) if 1 / dt > 2.5 * MOTION_HZ else q
     v = differentiate(smooth, dt)
     return smooth, v, differentiate(v, dt)
@@ -139,14 +140,15 @@ def _build_record(model: Model, law: ServoLaw, log: Log, exclude: Sequence[str])
 
 
 MIN_STEP_SHARE = 1e-3
-"""Share of a step by which a command's stamp differs from the even clock: less is the rounding of the stamps."""
+"""Share of a step by which a command's stamp differs from the even clock; smaller differences are rounding of the stamps."""
 
 
 def average_held_commands(stamps: np.ndarray, command: np.ndarray, t: np.ndarray, dt: float) -> np.ndarray:
     """Return the mean command (M, na) over each step of an even clock.
 
-    A command is held from its stamp to the next one (zero-order hold). To first order a servo answers the mean of the commands
-    within a step, wherever in the step a stamp lies. Stamps that agree with the clock to their rounding keep their commands.
+    A command is held from its stamp to the next one (zero-order hold). To first order a servo responds to the mean of the
+    commands within a step, independent of the stamp's position within the step. Stamps that agree with the clock to their
+    rounding keep their commands.
 
     Args:
         stamps: Times of the commands (N,) [s].
@@ -170,7 +172,7 @@ def average_held_commands(stamps: np.ndarray, command: np.ndarray, t: np.ndarray
 
 
 def _get_column(log: Log, name: str, most: float | None = None) -> np.ndarray:
-    """Return a column that a law names (N,): numbers, from zero to a largest one if that is said."""
+    """Return a column (N,) that a law names: finite numbers, from zero to `most` if that is given."""
     if name not in log.channels:
         raise InputError("missing_column", f"{log.name} has no column {name}, which the controller file names")
     column = log.channels[name]
@@ -187,13 +189,13 @@ def _get_column(log: Log, name: str, most: float | None = None) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class InertialSpace:
-    """Inertial numbers as the robot file has them, and the directions in which they may differ.
+    """Inertial numbers of the robot file, and the directions in which they may differ.
 
     Attributes:
-        model: The model; drive inertias are not in here.
+        model: The model; drive inertias are not included.
         nominal: Its parameters, drive inertias at zero (p,).
         directions: Changes of the parameters (p, K) for one unit of each unknown, one standard deviation of prior knowledge.
-        prior: Standard deviations of the parameters (p,) before the fit; zero for what is fixed.
+        prior: Standard deviations of the parameters (p,) before the fit; zero for fixed ones.
     """
 
     model: Model
@@ -225,12 +227,12 @@ class InertialSpace:
 
     @cached_property
     def bodies(self) -> ConsistentBodies:
-        """What keeps bodies such as may exist."""
+        """The constraint that keeps bodies physically consistent."""
         robot = self.model.robot
         return ConsistentBodies(robot.links, robot.parameters.names, self.nominal, self.prior, self.directions)
 
     def at(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return the parameters (p,) at unknowns (K,); what the logs do not inform on lets the bodies exist."""
+        """Return the parameters (p,) at unknowns (K,); directions without information keep the bodies consistent."""
         theta = self.nominal + self.directions @ unknowns
         found = self.bodies.find(unknowns) if len(unknowns) else None
         return theta if found is None else theta + self.bodies.within @ found.w
@@ -243,14 +245,14 @@ class InertialSpace:
 
 @dataclass(frozen=True, eq=False)
 class LoadWaves:
-    """What a robot does along one motion, per column of a basis (p, m) of its inertial parameters: see `Waves`.
+    """Loads of a robot along one motion, per column of a basis (p, m) of its inertial parameters: see `Waves`.
 
     Attributes:
-        load: (N, na, m) [N m per unit].
-        inertia: (N, na, m).
-        stiffness: (N, na) at the nominal values [N m/rad].
+        load: Torque besides the own inertia (N, na, m) [N m per unit].
+        inertia: Own inertia (N, na, m) [kg m^2 per unit].
+        stiffness: Growth of the load with the own position (N, na) at the nominal values [N m/rad].
         along: The motion's positions (N, na) [rad].
-        speed: The motion's speeds (N, na) [rad/s], where it is simulated.
+        speed: The motion's speeds (N, na) [rad/s], if it is simulated.
     """
 
     load: np.ndarray
@@ -288,7 +290,7 @@ def _fill_between(some: np.ndarray, x: np.ndarray, n: int) -> np.ndarray:
 
 
 def fill_coupled_matrices(mechanism: Mechanism, rows: LoadRows, log: int, part: slice, every: int) -> None:
-    """Take a log's mass matrix and slopes of gravity along its motion from one sample to another, that one included."""
+    """Compute a log's mass matrix and slopes of gravity along its motion from one sample to another, inclusive."""
     q = rows.motion[0, part, :, log]
     n, na = len(q) - 1, q.shape[1]
     some = np.minimum(np.arange(0, n + every, every), n)
@@ -305,10 +307,10 @@ def fill_coupled_matrices(mechanism: Mechanism, rows: LoadRows, log: int, part: 
 
 
 def fill_coupled_loads(mechanism: Mechanism, rows: LoadRows, log: int, part: slice, every: int, dt: float) -> None:
-    """Take a log's loads along its motion from one sample to another, that one included; its acceleration is its change of speed.
+    """Compute a log's loads along its motion from one sample to another, inclusive; accelerations are differences of speed.
 
-    They hold from each sample to the next, and are those of the middle. What the mass matrix, interpolated, leaves of the force
-    changes as smoothly as speeds do, so that it is taken every `LOAD_S`.
+    They hold from each sample to the next, and are evaluated at the middle. The force minus that of the interpolated mass
+    matrix changes as smoothly as speeds do, so that it is computed every `LOAD_S`.
     """
     q, v = rows.motion[:, part, :, log]
     n = len(q) - 1
@@ -333,12 +335,12 @@ def build_waves(records: Sequence[LoopRecord], loads: Sequence[LoadWaves], law: 
     Args:
         records: The logs.
         loads: Loads along each log's motion.
-        law: Whose entries that differ by log are handed on.
+        law: The law, for the entries that differ between logs.
     """
     n = max(len(r.t) for r in records)
 
     def stack(arrays: Sequence[np.ndarray]) -> np.ndarray:
-        """Return arrays (N, ...) as (N, ..., S), in memory as compiled loops read them."""
+        """Return arrays (N, ...) as (N, ..., S), in the memory order of compiled loops."""
         rows = np.stack([_pad(x, n) for x in arrays], axis=-1)
         order = {2: (1, 0), 3: (1, 2, 0), 4: (1, 3, 0, 2)}[rows.ndim]
         return np.ascontiguousarray(rows.transpose(order)).transpose(np.argsort(order))
@@ -382,10 +384,10 @@ def refine(x: np.ndarray, every: int) -> np.ndarray:
 
 
 def split_pieces(records: Sequence[LoopRecord], loads: Sequence[LoadWaves]) -> tuple[list[LoopRecord], list[LoadWaves]]:
-    """Return the logs in pieces that are simulated side by side (multiple shooting).
+    """Return the logs in pieces that are simulated in parallel (multiple shooting).
 
-    A piece starts from the state of the motion that its loads were taken along, and its first part does not count: by then the
-    loop has forgotten where it began. Few long logs become many short ones, which take as long as one of them.
+    A piece starts from the state of the motion along which its loads were evaluated. Its first part is not used: after it the
+    loop has forgotten its initial state. A few long logs become many short ones, which take as long as one of them.
     """
     total = sum(len(r.t) * r.dt for r in records)
     length = max(MIN_PIECE_S, total / PIECES)

@@ -1,9 +1,9 @@
-"""The residual of the extended loop as measurements for the judge: the encoders' floor, structure, and colour above the floor.
+"""The residual of the extended loop as measurements for the judge: encoder floor, structure, and correlation above the floor.
 
-Structure is found, confirmed and tested as in the residual of forces (`evidence/unexplained.py`). The variables are
-position, speed, acceleration and position error of each joint, and time. Encoders set a floor that forces do not have: the
-white part of the measured positions, rounding included. A residual that is far above it and coloured is reported as well, if it
-depends on none of the variables.
+Structure is found, confirmed and tested as in the residual of forces (`evidence/unexplained.py`). The variables are position,
+speed, acceleration and position error of each joint, and time. Encoders set a floor that forces do not have: the white part of
+the measured positions, rounding included. A residual that is far above it and coloured is reported as well, if it does not
+depend on any of the variables.
 """
 
 from __future__ import annotations
@@ -21,11 +21,12 @@ from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.servo.records import MOTION_HZ, LoopRecord
 
 RESIDUAL_HZ = 5 * MOTION_HZ
-"""Rate to which residuals are averaged at least [Hz]: no variable has content above `MOTION_HZ`."""
+"""Lowest rate to which residuals are averaged [Hz]: no variable has content above `MOTION_HZ`."""
 COLOUR_LEVEL = 0.01
 """Significance level of the portmanteau test of a joint."""
 MIN_FLOOR_RATIO = 1.5
-"""Residual over the floor from which colour without a cause is reported: more than half of its variance is not the encoder's."""
+"""Ratio of residual to floor from which correlation without a cause is reported: more than half of the variance is not the
+encoder's."""
 MAX_LAG_S = 0.5  # over which autocorrelations are tested
 
 
@@ -34,7 +35,7 @@ class LoopResidual(NamedTuple):
 
     Attributes:
         records: The records.
-        values: Measured minus simulated positions (N, na, S), zero where a sample does not count [rad].
+        values: Measured minus simulated positions (N, na, S), zero at unused samples [rad].
     """
 
     records: Sequence[LoopRecord]
@@ -42,7 +43,7 @@ class LoopResidual(NamedTuple):
 
 
 def compute_noise_floor(records: Sequence[LoopRecord]) -> np.ndarray:
-    """Return the rms of the encoders' noise and rounding (na,) [rad], which no simulation gets below."""
+    """Return the rms of the encoders' noise and rounding (na,) [rad], the lower bound of any simulation's error."""
     return np.sqrt(np.mean([estimate_encoder_noise(r.q) ** 2 for r in records], axis=0))
 
 
@@ -64,7 +65,7 @@ def find_residual_structure(
 
 
 def build_residual_measurements(joints: tuple[str, ...], parts: Sequence[LoopResidual]) -> Measurements:
-    """Return residuals as measurements, each joint's mean free.
+    """Return residuals as measurements, with a free mean of each joint.
 
     Args:
         joints: Actuated joints.
@@ -83,7 +84,7 @@ def build_residual_measurements(joints: tuple[str, ...], parts: Sequence[LoopRes
 def _build_run(
     joints: tuple[str, ...], parts: Sequence[LoopResidual], places: Sequence[tuple[int, int]]
 ) -> tuple[RegressionRun, np.ndarray]:
-    """Return one log as a run, and the part of each of its samples; places are numbers of parts and of their records."""
+    """Return one log as a run, and the part of each of its samples; places are indices of parts and of their records."""
     first = parts[places[0][0]].records[places[0][1]]
     residual, part = np.zeros(first.q.shape), np.full(len(first.t), -1)
     for number, k in places:
@@ -104,13 +105,13 @@ def _build_run(
 
 
 def _average(x: np.ndarray, every: int) -> np.ndarray:
-    """Return the means (n, ...) of `every` samples in turn of an array (N, ...)."""
+    """Return the means (n, ...) of `every` successive samples of an array (N, ...)."""
     n = len(x) // every
     return x[: n * every].reshape(n, every, *x.shape[1:]).mean(axis=1)
 
 
 def _find_colour(joint: str, part: LoopResidual, j: int, floor: float) -> Unexplained | None:
-    """Return colour of a residual that is far above the floor, by a portmanteau test of samples in order (Ljung & Box 1978)."""
+    """Return the correlation of a residual far above the floor, by a portmanteau test of samples in order (Ljung & Box 1978)."""
     records, residual = part
     x = residual[:, j] * np.stack([np.pad(r.used, (0, len(residual) - len(r.t))) for r in records], axis=1)
     count = int(sum(r.used.sum() for r in records))

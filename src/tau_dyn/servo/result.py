@@ -1,4 +1,4 @@
-"""What identification through a closed loop answers, and its JSON form."""
+"""The result of identification through a closed loop, and its JSON form."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ class PositionErrors:
     Attributes:
         joints: Actuated joints.
         logs: Names of the logs.
-        rms: Residual rms over the samples that count, log by log (S, na) [rad]; NaN where none counts.
-        count: Samples that count (S,).
+        rms: Residual rms over the samples that are used, log by log (S, na) [rad]; NaN without such samples.
+        count: Number of samples used (S,).
         size: rms of the measured positions about their mean (S, na) [rad].
-        command_rms: rms of measured minus commanded position (S, na) [rad]: what a simulation without a model would miss.
-        used_share: Share of the samples that count.
-        all_samples: The same over all samples; None inside itself.
+        command_rms: rms of measured minus commanded position (S, na) [rad]: the error of a simulation without a model.
+        used_share: Share of the samples that are used.
+        all_samples: The same over all samples; None in that object itself.
     """
 
     joints: tuple[str, ...]
@@ -105,19 +105,19 @@ def _percent(part: float, whole: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class LoopParameter:
-    """One identified number.
+    """One identified parameter.
 
     Attributes:
         name: Contract name.
         value: Its value [unit].
         unit: Its unit.
-        stderr: Standard error; None where the logs do not tell it by itself.
-        nominal: What the robot or the law file says; None for what has no trusted one.
-        nominal_stderr: To what that was trusted.
-        lower: Bound.
-        upper: Bound.
-        identifiable: Whether any motion could tell it by itself.
-        expression: The combination it stands for; empty for itself.
+        stderr: Standard error; None if the logs do not determine it by itself.
+        nominal: Value of the robot file or the law file; None if there is no trusted value.
+        nominal_stderr: Standard error of the nominal value.
+        lower: Lower bound.
+        upper: Upper bound.
+        identifiable: Whether any motion could determine it by itself.
+        expression: The combination that it denotes; empty for the parameter itself.
     """
 
     name: str
@@ -133,7 +133,7 @@ class LoopParameter:
 
     @property
     def at_bound(self) -> bool:
-        """Whether a bound holds it."""
+        """Whether it is at a bound."""
         return bool(self.value <= self.lower or self.value >= self.upper)
 
     def to_dict(self) -> dict[str, Any]:
@@ -158,27 +158,27 @@ class LoopParameter:
 
 @dataclass(frozen=True, eq=False)
 class LoopIdentification(Shown):
-    """Parameters identified through the closed loop, and how far to trust them.
+    """Parameters identified through the closed loop, and their quality.
 
     Attributes:
         model: The model at its identified values, with the servo's law; save it, simulate it.
         law: The servo's law at its identified values.
         parameters: Joint by joint, then the bodies'.
-        base_parameters: The combinations of the bodies' parameters that motion can show.
+        base_parameters: The identifiable combinations of the bodies' parameters.
         train: Errors on the training logs, simulated from their commands alone.
-        holdout: Errors on data used for nothing else; None where there were none.
-        holdout_how: How the held-out errors were had, in words.
-        contacts: Where the tool rested on something.
-        warnings: What is doubtful, one sentence each.
-        seed: Seed of whatever was random.
+        holdout: Errors on held-out data; None without such data.
+        holdout_how: How the held-out errors were obtained, in words.
+        contacts: Contacts of the tool with an object.
+        warnings: Warnings, one sentence each.
+        seed: Seed of all random steps.
         logs: The training logs.
-        shown: Records and predicted positions to look at, held-out ones first, each with whether it is held out.
+        shown: Records and predicted positions for display, held-out ones first, each with whether it is held out.
         friction: Name of the friction model.
         n_samples: Samples that the fit used.
-        condition_number: Of the normalised sensitivities.
-        rank: LoopUnknowns that were estimated.
-        start: The fit's unknowns and their covariance, to go on with.
-        by_gain: Where logs have gains of their own: what each gain's logs alone say of the drive, row by row.
+        condition_number: Condition number of the normalised sensitivities.
+        rank: Number of unknowns that were estimated.
+        start: The fit's unknowns and their covariance, for a later fit.
+        by_gain: Estimates of the drive from the logs of each gain alone, row by row, if logs have different gains.
     """
 
     model: Model
@@ -209,7 +209,7 @@ class LoopIdentification(Shown):
         return [p.to_dict() for p in self.base_parameters]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the contract's JSON result, without what the command adds (version, inputs, status)."""
+        """Return the contract's JSON result, without the fields that the command adds (version, inputs, status)."""
         return {
             "seed": self.seed,
             **format_warnings(self.warnings),

@@ -1,4 +1,4 @@
-"""Simulated logs of commands and positions: a model, a servo's law and a motion in, a `Log` without torque out."""
+"""Simulated logs of commands and positions: a model, a servo's law and a motion -> a `Log` without torque."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tau_dyn.simulate import ServoLaw, Trajectory
 FINE_HZ = 500.0
 """Rate at which the loop is simulated [Hz], at least: servos themselves run at 200 to 1000 Hz."""
 RAN_AWAY = 1e6
-"""Position from which a simulated robot is no robot any more [rad or m]: no joint turns as far in an hour."""
+"""Position from which a simulation counts as diverged [rad or m]: no joint turns as far in an hour."""
 STEP_S = 2.5e-4
 """Longest step of the simulated loops [s], a quarter of a millisecond, so that no fit has the step of its data."""
 
@@ -39,15 +39,15 @@ def simulate_loop_log(
     Args:
         model: The true robot; friction that is `symmetric` or `asymmetric` and drive inertias count.
         law: The servo's law.
-        motion: Its positions are the commands; its speeds, or what the model needs along it, where the law takes these.
-        rate_hz: Of commands and log [Hz].
+        motion: Its positions are the commands; its speeds or the model's torques along it, if the law takes those.
+        rate_hz: Rate of commands and log [Hz].
         encoder_noise: Standard deviation of positions [rad].
-        encoder_resolution: Step of the encoder [rad]; 0 for none.
-        seed: Of the noise.
+        encoder_resolution: Step of the encoder [rad]; 0 for no rounding.
+        seed: Seed of the noise.
         name: The log's name.
 
     Raises:
-        InputError: The motion is of other joints, an effect cannot act here, or the robot runs away.
+        InputError: The motion has other joints, an effect is not supported here, or the simulation diverges.
     """
     if motion.joints != model.robot.actuated:
         raise InputError(
@@ -82,7 +82,7 @@ def simulate_loop_log(
 
 
 def _build_commands(model: Model, law: ServoLaw, values: Mapping[str, np.ndarray], motion: Trajectory) -> np.ndarray:
-    """Return what the law is told (N, na) so that the robot moves about as a motion."""
+    """Return the commands (N, na) for which the robot approximately follows a motion."""
     if law.command in ("position", "speed"):
         return motion.q if law.command == "position" else motion.v
     resisting = values["coulomb"] * np.sign(motion.v) + values["viscous"] * motion.v + values["offset"]
@@ -92,10 +92,10 @@ def _build_commands(model: Model, law: ServoLaw, values: Mapping[str, np.ndarray
 
 
 def read_values(model: Model, law: ServoLaw) -> dict[str, np.ndarray]:
-    """Return what a loop needs of a model and a law, by kind (na,); friction of two directions becomes mean and offset.
+    """Return values of a model and a law for a loop, by kind (na,); friction of two directions becomes mean and offset.
 
     Raises:
-        InputError: The model has an effect that a loop does not know.
+        InputError: The model has an effect that a loop does not support.
     """
     odd = [
         e.name for e in model.effects if e.name not in ("symmetric_friction", "asymmetric_friction", "torque_offset")

@@ -1,4 +1,4 @@
-"""What a fit through the loop may change: values kind by kind and joint by joint, bounds, and the inertial directions."""
+"""Unknowns of a fit through the loop: values kind by kind and joint by joint, bounds, and the inertial directions."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from tau_dyn.servo.records import InertialSpace
 from tau_dyn.simulate import SERVO_ENTRIES, ServoLaw
 
 JOINT_UNITS = {"armature": "kg m^2", "coulomb": "N m", "viscous": "N m s/rad", "offset": "N m"}
-"""What a joint has beside its servo's law, and the units."""
+"""Parameters of a joint in addition to its servo's law, with units."""
 
 FRICTION = ("coulomb", "viscous", "offset", "load_friction", "stiction")
-"""What is estimated of a joint's friction unless the model is rigid."""
+"""Friction parameters of a joint that are estimated unless the model is rigid."""
 
 LOWEST = {
     "offset": -np.inf,
@@ -28,7 +28,7 @@ LOWEST = {
     "acceleration_limit": 1.0,
     "speed_limit": 0.05,
 }
-"""Lower bounds of kinds; zero for the others. A delay below zero is a position that is read after its time stamp."""
+"""Lower bounds of kinds; zero for the others. A negative delay is a position that is read after its time stamp."""
 
 HIGHEST = {
     "load_friction": 0.95,
@@ -43,8 +43,8 @@ HIGHEST = {
     "acceleration_limit": 1000.0,
     "speed_limit": 50.0,
 }
-"""Upper bounds of kinds [1, s, rad]: a friction that grows as the torque would hold every motion; limits of goal profiles that
-hardly change a goal between two commands."""
+"""Upper bounds of kinds [1, s, rad]: friction that grows as fast as the torque would stop every motion; limits of goal profiles
+that hardly change a goal between two commands."""
 
 LIMITS = ("acceleration_limit", "speed_limit")
 """Kinds that act by their inverse: without a limit they are infinite."""
@@ -52,15 +52,15 @@ LIMITS = ("acceleration_limit", "speed_limit")
 
 @dataclass(frozen=True, eq=False)
 class LoopUnknowns:
-    """What a fit may change, kind by kind and joint by joint, and the inertial directions.
+    """Unknowns of a fit, kind by kind and joint by joint, and the inertial directions.
 
     Attributes:
-        values: Value of every kind and law entry (na,), those that are held included.
+        values: Value of every kind and law entry (na,), including fixed ones.
         kinds: Kinds that are free for at least one joint.
-        free: Which joints of each kind (nk, na).
-        lower: Bounds (nk, na).
-        upper: Bounds (nk, na).
-        prior: Standard deviations of prior knowledge about the start values (nk, na); infinite for none.
+        free: Whether each kind is free at each joint (nk, na).
+        lower: Lower bounds (nk, na).
+        upper: Upper bounds (nk, na).
+        prior: Standard deviations of prior knowledge about the start values (nk, na); infinite without prior knowledge.
         space: Inertial numbers.
     """
 
@@ -123,11 +123,11 @@ def build_unknowns(
     """Return unknowns of some kinds for all joints, at start values.
 
     Args:
-        law: Values of its entries.
+        law: The law, for the values of its entries.
         space: Inertial numbers.
         start: Values by kind (na,) that replace the law's and the zeros of the rest.
-        kinds: What is free.
-        held: Kinds -> joints (na,) where it is not free after all.
+        kinds: The free kinds.
+        held: Kinds -> joints (na,) at which the kind is fixed.
     """
     na = len(law.joints)
     values = {**law.values, **{key: np.zeros(na) for key in JOINT_UNITS}, **start}
@@ -146,7 +146,7 @@ def compute_stiffness(values: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def measure_change(kind: str, value: np.ndarray, null: np.ndarray, stderr: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far values are from their null, and their standard errors; of limits, their inverses are compared."""
+    """Return the distance of values from their null, and their standard errors; for limits, the inverses are compared."""
     if kind not in LIMITS:
         return np.abs(value - null), stderr
     return np.abs(1 / value - 1 / null), stderr / np.square(value)

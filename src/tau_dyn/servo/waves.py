@@ -1,4 +1,4 @@
-"""What a servo loop is stepped with: logs and a robot sample by sample, and the values to try."""
+"""Inputs of a servo loop's simulation: logs and a robot sample by sample, and the values to try."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 MAX_STEP_S = 0.0105
-"""Longest step of the loop [s]: a seventh of the time constant of a hobby servo; it moves positions by some 0.4 mrad."""
+"""Longest step of the loop [s]: a seventh of the time constant of a hobby servo; it changes positions by about 0.4 mrad."""
 
 SPRING_STEP_S = 2e-3
-"""Longest step where a spring may be [s]: resonances to 80 Hz are exact. A diagnosis tells what half of it confirms."""
+"""Longest step if a joint may have a spring [s]: resonances up to 80 Hz are exact. A diagnosis reports only causes that half of
+it confirms."""
 
 MAX_STREAM_S = 0.1
 """Longest time between two commands of a stream [s]: policies and leader arms send 15 to 200 a second."""
@@ -22,18 +23,18 @@ MAX_STREAM_SPEED = 5.0
 """Largest speed of a streamed goal [rad/s], about the speed of a hobby servo without load: a faster change is a step."""
 
 PROFILE_STEP_S = 2e-3
-"""Longest step of a goal profile [s]: halving it moves positions by 0.01 mrad. The loop itself takes longer steps."""
+"""Longest step of a goal profile [s]: halving it changes positions by 0.01 mrad. The loop itself takes longer steps."""
 
 
 class LoadRows(NamedTuple):
-    """What a step of coupled joints reads, and the motion that comes of it; loads are taken along that again.
+    """Inputs of a step of coupled joints, and the resulting motion, along which loads are evaluated again.
 
     Attributes:
-        along: Motion that loads were taken along (N, na, S).
+        along: Motion along which loads were evaluated (N, na, S).
         load: Torque besides that of all joints' accelerations (N, na, S), from each sample to the next.
         inertia: Own inertia without armature (N, na, S).
         stiffness: Growth of the load with the own position (N, na, S).
-        mass: Mass matrix without armatures (S, R, na, na), a row each so many samples.
+        mass: Mass matrix without armatures (S, R, na, na), a row for every few samples.
         slope: Growth of each joint's load with each position (S, R, na, na).
         motion: Positions and speeds of the links (2, N, na, S).
     """
@@ -48,12 +49,13 @@ class LoadRows(NamedTuple):
 
 
 class JointCoupling(NamedTuple):
-    """How all joints are stepped at once: window by window, with loads along the motion that the window ends with.
+    """Settings for steps of all joints at once: window by window, with loads along the final motion of the window.
 
     Attributes:
         every: Samples between the rows of matrices.
         window: Samples of a window, a multiple of it.
-        settle: Takes loads of one log from one sample to another; the first time along a guess. Nonzero where they settled.
+        settle: Evaluates loads of one log from one sample to another; the first time along a guess. Returns nonzero if they
+            converged.
     """
 
     every: int
@@ -63,28 +65,28 @@ class JointCoupling(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Waves:
-    """What logs and a robot give a loop, sample by sample; logs of S are padded to the longest of N samples.
+    """Data of logs and a robot for a loop, sample by sample; S logs are padded to the longest, of N samples.
 
     Attributes:
         dt: Time between samples of each log (S,) [s].
         start: Positions at the first sample (na, S).
         speed: Speeds at the first sample (na, S).
         command: Commands (N, na, S) [rad, or the law's unit], each holding until the next.
-        along: Motion that loads were taken along (N, na, S) [rad].
+        along: Motion along which loads were evaluated (N, na, S) [rad].
         load: Torque besides the own inertia (N, na, S) [N m].
         load_by: The same per unit of each inertial unknown (N, na, K, S).
         inertia: Own inertia without armature (N, na, S) [kg m^2].
         inertia_by: The same per unit of each inertial unknown (N, na, K, S).
         stiffness: Growth of the load with the own position (N, na, S) [N m/rad].
         supply: Supply over the nominal one (N, S).
-        enabled: 1 where the motor is on (N, S).
-        by_log: Law entries that logs have of their own (na, S).
+        enabled: 1 while the motor is on (N, S).
+        by_log: Law entries that differ between logs (na, S).
         encoder_on_motor: Whether the law uses the motor's position.
         measured_on_motor: Whether the positions returned, and those of the start, are the motor's.
         step: Longest step of the loop [s].
-        held: Whether a load holds from its sample to the next, rather than changing evenly.
-        coupling: Steps all joints at once; None for each of its own.
-        told: What commands are, of `simulate.COMMANDS`.
+        held: Whether a load is constant from its sample to the next, rather than interpolated.
+        coupling: Steps all joints at once; None if each joint is stepped separately.
+        told: Kind of the commands, one of `simulate.COMMANDS`.
     """
 
     dt: np.ndarray
@@ -114,13 +116,13 @@ class Waves:
 
     @cached_property
     def steps(self) -> np.ndarray:
-        """Where the command (N, na, S) makes a step rather than streams: see `find_command_steps`."""
+        """Mask (N, na, S) of commands that are steps, not parts of a stream: see `find_command_steps`."""
         return find_command_steps(self.command, self.dt)
 
 
 @dataclass(frozen=True, eq=False)
 class Trials:
-    """Parameter values to simulate, side by side.
+    """Parameter values to simulate in parallel.
 
     Attributes:
         values: Law entries and `coulomb`, `viscous`, `armature`, `offset`, by name (na, C).
@@ -132,7 +134,7 @@ class Trials:
 
 
 def find_command_steps(command: np.ndarray, dt: np.ndarray) -> np.ndarray:
-    """Return where commands make a step (N, na, S): they changed after a rest, or faster than a stream does.
+    """Return the mask (N, na, S) of steps of commands: changes after a rest, or faster than a stream.
 
     Args:
         command: Commands (N, na, S) [rad], each holding until the next.

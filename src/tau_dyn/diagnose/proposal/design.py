@@ -1,15 +1,15 @@
-r"""How well a motion would tell two causes apart, before anybody has driven it.
+r"""Power of a planned motion to distinguish two causes.
 
-Along a motion, with white rows `B` of what is refitted anyway, `x` of the force of cause A at its fitted amplitude and `C(s)`
-of the rival's columns at settings s,
+Along a motion, let `B` be the whitened rows of all refitted parameters, `x` those of the force of cause A at its fitted
+amplitude, and `C(s)` those of the columns of the alternative cause at settings s. Then
 
     lambda = min over s of | x - [B, C(s)] least squares |^2,
 
-the noncentrality of the test of A against its rival; the motion with the largest lambda is T-optimal. Rows of separate motions
-add: a motion put together of pieces has the sum of their Gram matrices, and every lambda follows from that sum by a Schur
+is the noncentrality of the test of A against the alternative; the motion with the largest lambda is T-optimal. Rows of separate
+motions add: a motion composed of pieces has the sum of their Gram matrices, and every lambda follows from that sum by a Schur
 complement. Reference: Atkinson & Fedorov 1975.
 
-Nothing is low-passed here but the noise model: what is white in the diagnosed band is taken as white above it.
+Only the noise model is low-passed here: noise that is white in the diagnosed band is assumed to be white above it.
 """
 
 from __future__ import annotations
@@ -49,13 +49,13 @@ from tau_dyn.simulate import Trajectory
 RATE_HZ = 100.0
 """Rate of the rows, about [Hz]."""
 MAX_FREQUENCY_HZ = 50.0
-"""Highest frequency that a diagnosis looks at where the motion is quick and positions are clean enough [Hz], about."""
+"""Highest frequency of a diagnosis if the motion is fast and positions are accurate enough [Hz], about."""
 _MIN_RATE_HZ = 80.0
-"""A residual kept at a lower rate than this gives the noise's density only."""
+"""A residual at a lower rate than this gives only the density of the noise."""
 _IN_BAND = 0.28
-"""Share of the rate up to which neither low-pass weakens a residual."""
+"""Share of the rate up to which neither low-pass attenuates a residual."""
 _MAX_ORDER = 8  # of the autoregressive model of the residual, selected below it
-_LOOKED_AT_S = 120.0  # [s] of the logs by which motions are judged; bounds time
+_LOOKED_AT_S = 120.0  # [s] of the logs used to judge motions; bounds computing time
 _OF_PLACE = ("inertia", "weight_gradient", "passive")
 
 Thing = tuple[tuple[Effect, ...], Parameters | None]
@@ -64,16 +64,16 @@ Thing = tuple[tuple[Effect, ...], Parameters | None]
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """What a diagnosis says of how rows are made: the model, its noise, where the direction of motion is not sure.
+    """Settings that a diagnosis gives for making rows: the model, its noise, the speeds of uncertain direction.
 
     Attributes:
         model: The refitted baseline, at which loads and forces are computed.
         noise: Noise of each joint's force at the rows' rate.
         rate_hz: Rate of the rows.
-        threshold: Slowest speed with a sure sign (na,) [m/s or rad/s].
-        window_s: Time left out beside slow and reversing samples [s].
+        threshold: Slowest speed with a certain sign (na,) [m/s or rad/s].
+        window_s: Time left out around slow and reversing samples [s].
         cutoff_hz: Low-pass of positions [Hz].
-        highest_hz: Frequency above which a diagnosis of quicker motion sees nothing either [Hz].
+        highest_hz: Frequency above which a diagnosis cannot detect causes, even with faster motion [Hz].
     """
 
     model: Model
@@ -86,7 +86,7 @@ class Setting:
 
     @classmethod
     def of(cls, diagnosis: Diagnosis) -> Setting:
-        """Read it off a diagnosis; noise is what its extended model leaves."""
+        """Read it from a diagnosis; the noise is the residual of its extended model."""
         prepared = diagnosis.preparation
         assert prepared is not None  # other channels have been refused
         rate, noise = estimate_output_noise(diagnosis.traces, diagnosis.extended.rms)
@@ -99,8 +99,8 @@ def estimate_output_noise(traces: Sequence[TimeTrace], rms: np.ndarray) -> tuple
     """Return a rate near 100 Hz and the noise of each output at it.
 
     Args:
-        traces: Colour is that of what the extended model leaves of them.
-        rms: Size of that residual (m,), from data that nothing of a reversal leaked into, as it does into traces.
+        traces: The residual of the extended model in them gives the spectrum of the noise.
+        rms: Rms of that residual (m,), from data that are not affected by reversals, unlike the traces.
     """
     rate = 1 / float(np.median(np.diff(traces[0].t)))
     factor = max(1, round(rate / RATE_HZ))
@@ -123,10 +123,10 @@ def estimate_output_noise(traces: Sequence[TimeTrace], rms: np.ndarray) -> tuple
 
 
 def flatten_noise_spectrum(noise: Autoregression) -> Autoregression:
-    """Return a noise whose density goes on above the low-pass as it is below it.
+    """Return a noise whose spectral density continues above the low-pass as it is below it.
 
-    The residual was low-passed near the end of its band, candidate columns are not: whitened by what the low-pass left there
-    they would seem to show almost anything.
+    The residual was low-passed near the end of its band, candidate columns are not: whitened by the small residual there, they
+    would seem to have far too much power.
     """
     f = np.linspace(0, 0.5, 2049)
     turn = np.exp(-2j * np.pi * np.outer(f, np.arange(1, len(noise.phi) + 1)))
@@ -139,20 +139,20 @@ def flatten_noise_spectrum(noise: Autoregression) -> Autoregression:
 
 
 class DesignMotion(NamedTuple):
-    """A motion at the rows' rate with all that effects feel, and which samples count (n, na)."""
+    """A motion at the rows' rate with all signals that effects need, and the mask of usable samples (n, na)."""
 
     motion: Motion
     counts: np.ndarray
 
 
 def build_planned_motion(setting: Setting, planned: Trajectory, needs: Iterable[str] = ()) -> DesignMotion:
-    """Return a planned motion with the computed signals wanted."""
+    """Return a planned motion with the requested computed signals."""
     log = Log(planned.t, {f"q_{j}": planned.q[:, k] for k, j in enumerate(planned.joints)}, planned.name)
     return _thin(setting, log, planned.q, planned.v, planned.a, needs, None)
 
 
 def build_measured_motions(setting: Setting, logs: Iterable[Log], needs: Iterable[str]) -> list[DesignMotion]:
-    """Return the measured motions with the computed signals wanted, at most two minutes of them."""
+    """Return the measured motions with the requested computed signals, at most two minutes of them."""
     stretches, found = [piece for log in logs for piece in resample_segments(log)], []
     smooth_hz = smooth_cutoff(setting.model.robot, stretches) if stretches else 0.0
     for log in stretches:
@@ -167,9 +167,9 @@ def build_measured_motions(setting: Setting, logs: Iterable[Log], needs: Iterabl
 def _thin(
     setting: Setting, log: Log, q: np.ndarray, v: np.ndarray, a: np.ndarray, needs: Iterable[str], most: int | None
 ) -> DesignMotion:
-    """Return at most so many samples at the rows' rate, with loads and forces at the refitted baseline.
+    """Return a limited number of samples at the rows' rate, with loads and forces at the refitted baseline.
 
-    What depends on the place alone is computed at every fourth sample and interpolated.
+    Signals that depend on the position alone are computed at every fourth sample and interpolated.
     """
     joints, step = setting.model.robot.actuated, max(1, round(log.rate_hz / setting.rate_hz))
     measured = get_measured_signals(log, joints, q, v, setting.threshold)
@@ -185,7 +185,7 @@ def _thin(
 
 
 def compute_columns(setting: Setting, motion: Motion, others: Sequence[Effect], things: Sequence[Thing]) -> np.ndarray:
-    """Return columns (N, na, k): of the model's free parameters and of other effects, refitted anyway, then of all things."""
+    """Return columns (N, na, k): of the model's free parameters and of other refitted effects, then of all things."""
     made = [setting.model.columns(motion)[:, :, setting.model.parameters.free], *(e.columns(motion) for e in others)]
     for effects, values in things:
         each = [_weaken(setting, effect, motion) for effect in effects]
@@ -198,7 +198,7 @@ def compute_columns(setting: Setting, motion: Motion, others: Sequence[Effect], 
 
 
 def _weaken(setting: Setting, effect: Effect, motion: Motion) -> np.ndarray:
-    """Return an effect's columns; what repeats faster than the low-pass shows is weakened."""
+    """Return an effect's columns, attenuated at local frequencies above the low-pass."""
     made = effect.columns(motion)
     if not effect.dense:
         return made
@@ -212,7 +212,7 @@ def compute_gram_matrix(setting: Setting, motion: Motion, counts: np.ndarray, W:
     blank = np.zeros(counts.shape)
     rows = Whitener.of([RegressionRun("plan", motion.t, W, blank, counts, W, blank, {})], [counts], setting.noise)([W])
     rate = (len(motion.t) - 1) / float(motion.t[-1] - motion.t[0])
-    return rows.T @ rows * (setting.rate_hz / rate)  # the noise belongs to the rows' rate, which a log meets nearly
+    return rows.T @ rows * (setting.rate_hz / rate)  # the noise is given at the rows' rate, near that of a log
 
 
 _RANK = 1e-10  # ratio of eigenvalues; less is rounding
@@ -220,7 +220,7 @@ _RANK = 1e-10  # ratio of eigenvalues; less is rounding
 
 @dataclass(frozen=True, eq=False)
 class SchurComplement:
-    """What is left of columns beside those refitted anyway: `G` (n, n), and the columns' own squares `raw` (n,)."""
+    """Gram matrix `G` (n, n) of the residuals of columns on the refitted ones, and the columns' own squares `raw` (n,)."""
 
     G: np.ndarray
     raw: np.ndarray
@@ -246,15 +246,15 @@ class SchurComplement:
 
 @dataclass(frozen=True, eq=False)
 class AlternativeCause:
-    """A cause in place of another: its effects on each group of joints, one for each setting, and where their columns are."""
+    """An alternative cause: its effects on each group of joints, one for each setting, and the indices of their columns."""
 
     groups: tuple[tuple[Effect, ...], ...]
     columns: tuple[tuple[np.ndarray, ...], ...]
 
     def best(self, schur: SchurComplement, x: int) -> tuple[float, list[tuple[Effect, np.ndarray]]]:
-        """Return what the rival leaves of column x at its best settings, and which they are, with amplitudes.
+        """Return the residual square of column x on the alternative at its best settings, and these settings with amplitudes.
 
-        Groups are taken one by one, the one that explains most first; a joint belongs to one group only.
+        Groups are added one by one, the one that explains most first; a joint belongs to one group only.
         """
         chosen: list[tuple[Effect, np.ndarray]] = []
         open_groups = list(range(len(self.groups)))
@@ -266,12 +266,12 @@ class AlternativeCause:
             chosen.append((effect, columns))
             rest = schur.G[x, x] - T
             schur = schur.without(columns)
-            schur.G[x, x] = max(rest, schur.G[x, x])  # amplitudes that must not be negative leave more
+            schur.G[x, x] = max(rest, schur.G[x, x])  # bounds at zero leave a larger residual
             open_groups = [j for j in open_groups if not set(self.groups[j][0].joints) & set(effect.joints)]
         return max(float(schur.G[x, x]), 0.0), chosen
 
     def _explained(self, schur: SchurComplement, x: int, k: int) -> tuple[float, int, int]:
-        """Return the most that a group explains, the group, and the setting; settings may differ in their columns' number."""
+        """Return the largest statistic of a group, the group, and the setting; settings may differ in their number of columns."""
         best = (0.0, k, 0)
         sizes = np.array([len(c) for c in self.columns[k]])
         for size in np.unique(sizes):
@@ -286,7 +286,7 @@ class AlternativeCause:
 def compute_imitating_amplitudes(
     schur: SchurComplement, x: int, chosen: Sequence[tuple[Effect, np.ndarray]]
 ) -> Parameters:
-    """Return the values at which chosen effects imitate column x best; none is negative that must not be."""
+    """Return the values at which chosen effects imitate column x best, within their bounds at zero."""
     columns = np.concatenate([c for _, c in chosen])
     G = schur.G[np.ix_(columns, columns)]
     value = np.linalg.pinv(G, rcond=MIN_UNABSORBED_SHARE, hermitian=True) @ schur.G[columns, x]

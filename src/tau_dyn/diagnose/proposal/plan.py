@@ -1,7 +1,8 @@
-"""What a diagnosis leaves open, whether a motion can answer it, and what is compared along candidate motions.
+"""Open questions of a diagnosis, whether a motion can answer them, and the quantities compared along candidate motions.
 
-The question, in this order: the strongest cause with twins; several causes that are only suspected; one that is; a payload, a
-gain or another number that no motion can settle; else all causes that were not found, or that the motion did not show.
+The question, in this order: the strongest cause with indistinguishable alternatives; several suspected causes; one suspected
+cause; a payload, a gain or another number that no motion can determine; otherwise all causes that were not found, or that the
+motion did not excite.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.parameters import Parameters
 
 _MAX_HYPOTHESES = 3
-"""Suspected causes that are told from each other."""
+"""Largest number of suspected causes to be distinguished from each other."""
 
 _WEIGHING = (
     "weigh one moving part or a payload and fix its mass (--fix NAME.mass=...); forces cannot give the drives' gain"
@@ -61,7 +62,7 @@ class CauseHypothesis:
 
     @classmethod
     def of(cls, finding: Finding) -> CauseHypothesis:
-        """Take what was found."""
+        """Initialise from a finding."""
         return cls(finding.cause, finding.effects, Parameters(finding.parameters))
 
     @property
@@ -72,13 +73,13 @@ class CauseHypothesis:
 
 @dataclass(frozen=True, eq=False)
 class DesignGoal:
-    """What a motion is to answer.
+    """The question that a motion has to answer.
 
     Attributes:
-        pairs: A suspect, and the name of the rival it is to be told from; an empty name is none of them, but chance.
-        others: Effects that are sure and refitted anyway.
-        beyond: Twins that no motion tells from the suspect, and the experiment that would.
-        causes: Without pairs, the causes to be seen sooner.
+        pairs: A suspected cause, and the name of the alternative to distinguish it from; an empty name means chance.
+        others: Confirmed effects, which are refitted.
+        beyond: Alternatives that no motion distinguishes from the suspected cause, and the experiment that would.
+        causes: Causes whose detection is to be improved, if there are no pairs.
     """
 
     pairs: tuple[tuple[CauseHypothesis, str], ...] = ()
@@ -88,14 +89,14 @@ class DesignGoal:
 
 
 def find_design_goal(diagnosis: Diagnosis, signals: Collection[str]) -> DesignGoal:
-    """Return what is open.
+    """Return the open question.
 
     Args:
         diagnosis: The diagnosis.
-        signals: What a motion alone gives effects to feel; a cause that feels more is beyond it.
+        signals: Signals that a motion alone provides to effects; a cause that needs other signals cannot be tested by it.
 
     Raises:
-        CannotAnswer: Something is open that no motion of the robot answers.
+        CannotAnswer: The open question cannot be answered by a motion of the robot.
     """
     if diagnosis.channel != "force":
         raise CannotAnswer(
@@ -120,7 +121,7 @@ def find_design_goal(diagnosis: Diagnosis, signals: Collection[str]) -> DesignGo
 
 
 def find_other_experiment(cause: str, twin: str, default: str = "") -> str:
-    """Return the experiment other than a motion that tells two causes apart."""
+    """Return the experiment other than a motion that distinguishes two causes."""
     known = _OTHER_EXPERIMENTS.get(twin) or _OTHER_EXPERIMENTS.get(cause) or default
     if known:
         return known
@@ -129,7 +130,7 @@ def find_other_experiment(cause: str, twin: str, default: str = "") -> str:
 
 
 def build_refusal(cause: str, twins: Sequence[tuple[str, str]]) -> CannotAnswer:
-    """Return the refusal where no motion tells a cause from its twins, pairs of name and experiment."""
+    """Return the error for a cause that no motion distinguishes from its alternatives, pairs of name and experiment."""
     names = " or ".join(name for name, _ in twins)
     experiments = list(dict.fromkeys(experiment for _, experiment in twins))
     return CannotAnswer("no_solution", f"no motion of this robot tells {cause} from {names}", "; ".join(experiments))
@@ -140,7 +141,7 @@ def _beyond(cause: str, twins: Sequence[str], default: str = "") -> CannotAnswer
 
 
 def _twins(diagnosis: Diagnosis, finding: Finding, signals: Collection[str]) -> DesignGoal:
-    """Return the question between a finding and those of its twins that a motion can make, or refuse."""
+    """Return the question between a finding and its alternatives that a motion can excite, or raise."""
     twins = finding.indistinguishable_from
     out = [t for t in twins if not _of_motion(t, signals) or t in finding.effects[0].equivalent]
     if not set(finding.effects[0].needs) <= set(signals):
@@ -178,22 +179,22 @@ def _first(diagnosis: Diagnosis) -> str:
     return next((f.experiment for f in diagnosis.findings if f.experiment), "")
 
 
-_MAX_SETTINGS = 60  # of an alternative cause that are tried; bounds time
+_MAX_SETTINGS = 60  # settings of an alternative cause that are tried; bounds computing time
 _MAX_SETTING_DISTANCE = 0.3
-"""Settings of a fine grid that lie this near the true cause's own are tried as a rival's."""
+"""Settings of a fine grid this near the true cause's own are tried for an alternative."""
 _WEAK = 1e-12  # smallest norm that a column is divided by
-_IMITATED = 0.5  # share of a column's power left beside an alternative, below which it imitates the cause
+_IMITATED = 0.5  # share of a column's power that an alternative leaves, below which it imitates the cause
 
 
 @dataclass(frozen=True, eq=False)
 class Contrast:
-    """One line of the question: how much of the columns is left beside all else and, if there is one, a rival.
+    """One line of the question: the power of columns that all other columns and the alternative, if any, do not explain.
 
     Attributes:
         cause: The cause taken as true.
-        rival: What it is to be told from; empty for nothing but chance.
-        columns: Where its columns are: the force of a suspect, or an effect's per unit.
-        instead: The rival's columns; None without one.
+        rival: The alternative to distinguish it from; empty for chance.
+        columns: Indices of its columns: the force of a suspected cause, or an effect's columns per unit.
+        instead: The alternative's columns, or None.
     """
 
     cause: str
@@ -202,7 +203,7 @@ class Contrast:
     instead: AlternativeCause | None
 
     def strength(self, schur: SchurComplement) -> float:
-        """Return lambda, or of a cause per unit what is left of its columns' mean square."""
+        """Return lambda, or, for a cause per unit, the unexplained mean square of its columns."""
         if self.instead is not None:
             return self.instead.best(schur, int(self.columns[0]))[0]
         return float(np.mean(np.diag(schur.G)[self.columns]))
@@ -210,14 +211,14 @@ class Contrast:
 
 @dataclass(frozen=True, eq=False)
 class DiscriminationDesign:
-    """All columns and all lines.
+    """All columns and all lines of a plan.
 
     Attributes:
         setting: The diagnosis behind it.
-        question: What is open.
-        scene: What measured and candidate motions offer together.
-        things: What is judged, column after column.
-        lines: How it is judged.
+        question: The open question.
+        scene: Excitation of measured and candidate motions together.
+        things: The effects that are judged, column after column.
+        lines: The lines of the question.
     """
 
     setting: Setting
@@ -228,7 +229,7 @@ class DiscriminationDesign:
 
     @property
     def n_refitted(self) -> int:
-        """Number of columns refitted anyway."""
+        """Number of refitted columns."""
         others = sum(len(effect.parameters) for effect in self.question.others)
         return int(np.sum(self.setting.model.parameters.free)) + others
 
@@ -241,7 +242,7 @@ class DiscriminationDesign:
         return total
 
     def schur(self, total: np.ndarray) -> SchurComplement:
-        """Return what is left of a Gram matrix's columns beside those refitted anyway, prior knowledge counted."""
+        """Return the Gram matrix of the residuals of columns on the refitted ones, with prior knowledge."""
         free = [q for q in self.setting.model.parameters if q.free]
         known = np.array([1 / q.prior_stderr**2 if q.prior_stderr else 0.0 for q in free])
         total = total.copy()
@@ -255,7 +256,7 @@ class DiscriminationDesign:
         return np.array([line.strength(schur) for line in self.lines])
 
     def merit(self, total: np.ndarray, most: np.ndarray) -> float:
-        """Return the smallest strength; of causes to be seen, relative to the most that can be expected."""
+        """Return the smallest strength; for causes to be detected, relative to the largest that can be expected."""
         found = self.strengths(total)
         return float(np.min(found if self.question.pairs else found / most))
 
@@ -264,7 +265,7 @@ class DiscriminationDesign:
         return np.maximum(np.max([self.strengths(one) for one in grams], axis=0), 1e-300)
 
     def showing(self, total: np.ndarray) -> DiscriminationDesign:
-        """Return the plan with those lines of which all candidates together show anything."""
+        """Return the plan with the lines that all candidates together excite."""
         schur = self.schur(total)
         kept = [
             ln
@@ -275,7 +276,7 @@ class DiscriminationDesign:
 
 
 def get_required_signals(question: DesignGoal) -> frozenset[str]:
-    """Return the computed signals that the question's effects feel."""
+    """Return the computed signals that the question's effects need."""
     pairs = [
         cls for suspect, rival in question.pairs for cls in (*suspect.effects, *([EFFECTS[rival]] if rival else []))
     ]
@@ -283,7 +284,7 @@ def get_required_signals(question: DesignGoal) -> frozenset[str]:
 
 
 def build_design_scene(setting: Setting, motions: Sequence[Motion], signals: frozenset[str]) -> Scene:
-    """Return what motions offer together."""
+    """Return the properties of all motions together."""
     robot = setting.model.robot
     return build_scene(
         motions,
@@ -297,7 +298,7 @@ def build_design_scene(setting: Setting, motions: Sequence[Motion], signals: fro
 
 
 def build_discrimination_plan(setting: Setting, question: DesignGoal, scene: Scene) -> DiscriminationDesign:
-    """Return the plan that tells suspects from their rivals."""
+    """Return the plan that distinguishes suspected causes from their alternatives."""
     plan = DiscriminationDesign(setting, question, scene)
     for suspect, rival in question.pairs:
         plan = _with_pair(plan, suspect, rival, None)
@@ -305,9 +306,9 @@ def build_discrimination_plan(setting: Setting, question: DesignGoal, scene: Sce
 
 
 def add_mirrored_contrasts(plan: DiscriminationDesign, recorded: Sequence[DesignMotion]) -> DiscriminationDesign:
-    """Return the plan with rivals taken as true as well, at the amplitudes with which they imitate the suspect so far.
+    """Return the plan with alternatives taken as true as well, at the amplitudes at which they imitate the suspected cause.
 
-    A rival that imitates less than half of it on the measured motion could not be behind what was measured.
+    An alternative that imitates less than half of it on the measured motion cannot be the cause of the measured effect.
     """
     if not plan.question.pairs:
         return plan
@@ -324,7 +325,7 @@ def add_mirrored_contrasts(plan: DiscriminationDesign, recorded: Sequence[Design
 
 
 def build_detection_plan(setting: Setting, question: DesignGoal, scene: Scene) -> DiscriminationDesign:
-    """Return the plan that shows causes, each on each group of joints at the setting in the middle of its grid."""
+    """Return the plan that excites causes, each on each group of joints at the setting in the middle of its grid."""
     plan = DiscriminationDesign(setting, question, scene)
     for cls in question.causes:
         groups = cls.groups(scene)
@@ -341,7 +342,7 @@ def build_detection_plan(setting: Setting, question: DesignGoal, scene: Scene) -
 def _added(
     plan: DiscriminationDesign, effects: tuple[Effect, ...], values: Parameters | None = None
 ) -> tuple[DiscriminationDesign, np.ndarray]:
-    """Return the plan with effects, per unit or at values, and where their columns are after those refitted anyway."""
+    """Return the plan with effects, per unit or at values, and the indices of their columns after the refitted ones."""
     sizes = [1 if v is not None else sum(len(e.parameters) for e in es) for es, v in (*plan.things, (effects, values))]
     return replace(plan, things=(*plan.things, (effects, values))), np.arange(sum(sizes[:-1]), sum(sizes))
 
@@ -349,7 +350,7 @@ def _added(
 def _with_pair(
     plan: DiscriminationDesign, suspect: CauseHypothesis, rival: str, found: CauseHypothesis | None
 ) -> DiscriminationDesign:
-    """Return the plan with one more pair; where the rival itself was `found`, its settings are tried as they are, too."""
+    """Return the plan with one more pair; if the alternative itself was `found`, its own settings are tried, too."""
     plan, x = _added(plan, suspect.effects, suspect.values)
     if not rival:
         return replace(plan, lines=(*plan.lines, Contrast(suspect.cause, "", x, None)))
@@ -368,7 +369,7 @@ def _with_pair(
 def _options(
     cls: type[Effect], scene: Scene, suspect: CauseHypothesis, found: CauseHypothesis | None
 ) -> list[tuple[Effect, ...]]:
-    """Return a rival's effects for each group that shares joints with a suspect, one for each setting."""
+    """Return an alternative's effects for each group that shares joints with a suspected cause, one for each setting."""
     made = []
     for joints in cls.groups(scene):
         if not set(joints) & set(suspect.joints):
@@ -385,7 +386,7 @@ def _options(
 
 
 def _fewer(grid: list[dict[str, float]], own: dict[str, float]) -> list[dict[str, float]]:
-    """Return at most `_MAX_SETTINGS` of a grid: those near the true cause's own settings where it has the same ones."""
+    """Return at most `_MAX_SETTINGS` of a grid: those near the true cause's own settings if it has the same kind of settings."""
     near = [
         g
         for g in grid

@@ -1,12 +1,12 @@
-"""The motion that answers what a diagnosis left open, within the robot's limits.
+"""The motion that answers the open questions of a diagnosis, within the robot's limits.
 
 Random pieces of every kind of motion are judged by `design.py`; the proposal is the combination of pieces, found by exchanging
-one at a time, whose smallest lambda over all pairs of causes is largest (Atkinson & Fedorov 1975; exchange: Fedorov 1972).
-Either cause of a pair is taken as true in turn: the one that was found at its fitted amplitude, its twin at the amplitude with
+one at a time, whose smallest lambda over all pairs of causes is largest (Atkinson & Fedorov 1975; exchange: Fedorov 1972). Each
+cause of a pair is taken as true in turn: the one that was found at its fitted amplitude, its alternative at the amplitude at
 which it imitates the first on the measured motion.
 
-Where nothing is confused, each cause not seen counts by what a motion shows of it over the most that any piece shows
-(standardised maximin, Dette 1997), and the worst cause decides.
+If no causes are confused, each undetected cause is rated by its information along a motion divided by the most that any piece
+has (standardised maximin, Dette 1997), and the worst cause decides.
 """
 
 from __future__ import annotations
@@ -98,14 +98,15 @@ TRAINED = 0.6
 """Share of a log that is searched for causes; the rest confirms and measures."""
 _N_TRIALS = 300  # random outcomes; a probability is known to 3 %
 _FRESH = 20.0
-"""Times smaller that an effect is seen, above which the measured motion hardly showed it."""
+"""Ratio of detection limits above which the measured motion hardly excited an effect."""
 
 
 def estimate_identification_probability(strength: float, rival: bool = True) -> float:
-    """Return how probably a search on a log of this lambda ranks the true cause clearly above its rival.
+    """Return the probability that a search on a log of this lambda ranks the true cause clearly above its alternative.
 
-    Twice the log-likelihood ratio of the two is normal about lambda with variance 4 lambda (Cox 1962); twins are told apart
-    from `MIN_2LOGL_DIFFERENCE` up. Without a rival it is the power of the search itself, about `_N_TRIALS` tries counted.
+    Twice the log-likelihood ratio of the two is normal about lambda with variance 4 lambda (Cox 1962); the causes are
+    distinguished from `MIN_2LOGL_DIFFERENCE` up. Without an alternative it is the power of the search itself, which counts
+    about `_N_TRIALS` tries.
     """
     trained = TRAINED * strength
     if not rival:
@@ -116,13 +117,13 @@ def estimate_identification_probability(strength: float, rival: bool = True) -> 
 def list_motion_notes(
     plan: DiscriminationDesign, question: DesignGoal, new: np.ndarray, old: np.ndarray | None
 ) -> list[str]:
-    """Return what to expect of a motion.
+    """Return the expected results of a motion.
 
     Args:
-        plan: What was judged.
-        question: What is open.
+        plan: The plan that was judged.
+        question: The open question.
         new: Strength of each line along the proposed motion.
-        old: The same along the measured motion, in the same time; None where it is not known.
+        old: The same along the measured motion, in the same time; None if unknown.
     """
     if not question.pairs:
         return _sight(plan, new, old)
@@ -138,7 +139,7 @@ def list_motion_notes(
 
 
 def _sight(plan: DiscriminationDesign, new: np.ndarray, old: np.ndarray | None) -> list[str]:
-    """Return how much smaller effects show than along the measured motion; of each cause the joint that gains least counts."""
+    """Return the ratio of detection limits to those of the measured motion; the joint that gains least counts for each cause."""
     causes = dict.fromkeys(line.cause for line in plan.lines)
     if old is None:
         return [f"this motion excites {', '.join(causes)}"]
@@ -165,7 +166,7 @@ def _sure(strength: float, line: Contrast) -> str:
 
 PIECE_S = 14.0
 """Length of a piece, about [s]."""
-_MIN_DURATION_S = 6.0  # [s] of the shortest motion that is proposed
+_MIN_DURATION_S = 6.0  # [s], the shortest proposed motion
 _REST_S = 0.5  # [s] of rest between two motions
 _STILL_S = 0.1  # the move between two pieces that end and start at home
 
@@ -179,22 +180,23 @@ def propose_motion(
     seed: int = 0,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Trajectory:
-    """Return the motion that best tells apart what a diagnosis could not, with notes on how sure the answer will be.
+    """Return the motion that best distinguishes the causes that a diagnosis could not, with notes on the expected certainty.
 
     Args:
-        diagnosis: Of measured forces.
-        logs: The diagnosed logs; with them twins are taken as true in turn, and the notes compare with the measured motion.
+        diagnosis: Diagnosis of measured forces.
+        logs: The diagnosed logs; with them each alternative is taken as true in turn, and the notes compare with the measured
+            motion.
         duration: Length [s], at least 6.
         trials: Random pieces to choose from.
-        seed: Of the pieces.
+        seed: Seed of the pieces.
         progress: Called with a word for each step.
 
     Returns:
-        A motion of about this length that starts and ends at rest at home; its notes say the expected lambda.
+        A motion of about this length that starts and ends at rest at home; its notes state the expected lambda.
 
     Raises:
-        CannotAnswer: What is open is no matter of motion; the experiment that would tell is named.
-        InputError: The motion is too short, or the robot's limits leave none.
+        CannotAnswer: No motion can answer the open question; the message names the experiment that would.
+        InputError: The motion is too short, or the robot's limits permit no motion.
     """
     if not _MIN_DURATION_S <= duration <= 3600:
         raise InputError(
@@ -235,7 +237,7 @@ def propose_motion(
 
 
 def _signals(model: Model) -> frozenset[str]:
-    """Return what effects may feel of a motion without further sensors."""
+    """Return the signals of a motion that are available to effects without further sensors."""
     return frozenset(
         {"force", "rigid_force", "inertia", "weight_gradient", "load", "reducer_torque", "reversal"}
         | ({"passive"} if model.robot.loops else set())
@@ -243,7 +245,7 @@ def _signals(model: Model) -> frozenset[str]:
 
 
 def _of_measured(plan: DiscriminationDesign, recorded: Sequence[DesignMotion], duration: float) -> np.ndarray | None:
-    """Return strengths of the measured motion, in the time that the proposal takes [s]."""
+    """Return strengths of the measured motion, scaled to the duration of the proposal [s]."""
     if not recorded:
         return None
     took = sum(float(motion.t[-1] - motion.t[0]) for motion, _ in recorded if motion.t is not None)
@@ -251,7 +253,7 @@ def _of_measured(plan: DiscriminationDesign, recorded: Sequence[DesignMotion], d
 
 
 def _answerable(plan: DiscriminationDesign, grams: np.ndarray, question: DesignGoal) -> DiscriminationDesign:
-    """Leave out what no motion shows, or refuse where nothing is left."""
+    """Leave out causes that no motion excites, or raise if no cause remains."""
     kept = plan.showing(grams.sum(axis=0))
     if kept.lines:
         return kept

@@ -1,6 +1,6 @@
-"""Hypotheses of changes within a log, and the log with the changes found accounted for.
+"""Hypotheses of changes within a log, and the log with the changes found in the model.
 
-A change of a factor divides the forces after it; every other one is a step of columns at its time.
+A change of a factor divides the forces after it; every other change is a step of columns at its time.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ Columns = Sequence[np.ndarray]
 DRIFT_TIME_SHARES = (0.03, 0.1, 0.3, 1.0)
 """Time constants of a drift over the log's length; a linear drift is an exponential one of infinite time constant."""
 MEMORY_PERIODS = 2.0
-"""Half-width of a step after the fit's low-pass, in periods of its cutoff: 0.3 % of the step is left after it."""
+"""Half-width of a step after the fit's low-pass, in periods of its cutoff: 0.3 % of the step remain after it."""
 MEMORY_ROWS = 2
-"""Rows on both sides of a change that are left out where no low-pass is known."""
+"""Rows on both sides of a change that are left out if no low-pass is known."""
 
 
 class Hypothesis(NamedTuple):
-    """A change of one kind: the output that it acts on (-1 for all), and columns (n, m, d) of each run; none for a factor."""
+    """A change of one kind: its output (-1 for all), and columns (n, m, d) of each run; an empty list for a factor."""
 
     kind: Kind
     output: int
@@ -32,7 +32,7 @@ class Hypothesis(NamedTuple):
 
 
 class LogData(NamedTuple):
-    """One log with all changes accounted for that were found.
+    """One log with all changes found so far in the model.
 
     Attributes:
         regression: The runs of this log.
@@ -67,20 +67,20 @@ class LogData(NamedTuple):
 
     @property
     def memory_s(self) -> float:
-        """Time for which the fit's low-pass smears a step [s]."""
+        """Time over which the fit's low-pass smooths a step [s]."""
         cutoff = self.regression.preparation.force_cutoff_hz
         step = max((float(np.median(np.diff(run.t))) for run in self.regression.runs if len(run.t) > 1), default=0.0)
         return max(MEMORY_PERIODS / cutoff, MEMORY_ROWS * step)
 
     def take(self, hypothesis: Hypothesis, time_s: float, factor: float) -> LogData:
-        """Return the log with one more change accounted for."""
+        """Return the log with one more change in the model."""
         if hypothesis.columns:
             step = [c * (run.t > time_s)[:, None, None] for c, run in zip(hypothesis.columns, self.runs, strict=True)]
             return self._replace(steps=(*self.steps, step))
         return self._replace(factors=(*self.factors, (hypothesis.output, time_s, factor)))
 
     def drift(self, hypothesis: Hypothesis, number: int) -> LogData:
-        """Return the log with a drift of a hypothesis' columns accounted for; of a factor, unchanged."""
+        """Return the log with a drift of a hypothesis' columns in the model; unchanged for a factor."""
         if not hypothesis.columns:
             return self
         ends = min(run.t[0] for run in self.runs), max(run.t[-1] for run in self.runs)
@@ -107,7 +107,7 @@ def list_hypotheses(regression: Regression, shared: Mapping[Kind, Columns]) -> l
 
 
 def _place_at_output(regression: Regression, output: int, columns: Columns) -> list[np.ndarray]:
-    """Return columns (n, m, d) that are zero at all outputs but one, at which they are given (n, d)."""
+    """Return columns (n, m, d) that are zero at all outputs except one, at which they are given (n, d)."""
     found = []
     for run, x in zip(regression.runs, columns, strict=True):
         made = np.zeros((len(run.t), len(regression.outputs), x.shape[1]))
@@ -117,7 +117,7 @@ def _place_at_output(regression: Regression, output: int, columns: Columns) -> l
 
 
 def _make_friction(regression: Regression, output: int) -> list[np.ndarray]:
-    """Return Coulomb friction (n, 1) of one joint, filtered as the fit's where the model has it: a brake or contact adds it."""
+    """Return Coulomb friction (n, 1) of one joint, filtered as in the fit if the model has it: a brake or contact adds it."""
     joint, found = regression.outputs[output], []
     own = [k for k, name in enumerate(regression.parameters.names) if name.startswith(f"{joint}.coulomb")]
     for run in regression.runs:

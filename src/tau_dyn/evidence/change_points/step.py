@@ -1,4 +1,4 @@
-r"""The time of a change: every time is scanned, and the best hypothesis is fitted with noise and time of its own.
+r"""The time of a change: every time is scanned, and the best hypothesis is fitted with its own noise and time.
 
 The score statistic of a step at every time follows from cumulative products (Andrews 1993). The fitted step is divided by the
 scatter of blocks, and compared with drifts of the same columns.
@@ -20,9 +20,9 @@ from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, compute_overdisper
 MAX_ORDER = 8
 """Order of the autoregressive noise model, as for causes."""
 MIN_SIDE_BLOCKS = 2
-"""Blocks of 2 s with usable samples that both sides of a change need; one block alone has no scatter."""
+"""Least number of blocks of 2 s with usable samples on both sides of a change; one block alone has no scatter."""
 MIN_BLOCKS = 5
-"""Blocks of a log below which no time is tried: two on both sides, and one between."""
+"""Least number of blocks of a log for which times are tried: two on both sides, and one between."""
 N_TIMES = 250
 """Times tried at first, evenly spread over the rows; the best is refined among all rows near it."""
 BLOCKS_TOGETHER = (1, 2, 4)
@@ -30,11 +30,10 @@ BLOCKS_TOGETHER = (1, 2, 4)
 MIN_SCATTER_BLOCKS = 8
 """Joined blocks from which their scatter is used; fewer do not estimate a variance."""
 MIN_FACTOR = 1e-3
-"""Smallest factor by which forces are divided; a channel that dies has none."""
+"""Smallest factor by which forces are divided; a dead channel has factor zero."""
 LEVEL = 1e-6
-"""Chance, by the test, that any of the logs of one fit gets a change that it does not have. It is stricter than the level of a
-cause: ten blocks of a residual with structure have heavier tails than their F distribution, and a true change exceeds the bound
-by orders of magnitude."""
+"""Significance level of any change over all logs of one fit. It is stricter than the level of a cause: ten blocks of a residual
+with structure have heavier tails than their F distribution, and a true change exceeds the bound by orders of magnitude."""
 
 
 def _list_times(white: OrderedRows, output: int, near: float | None = None) -> np.ndarray:
@@ -76,7 +75,7 @@ def _scan_steps(white: OrderedRows, C: np.ndarray, starts: np.ndarray) -> np.nda
 
 
 def _scan_sign(white: OrderedRows, output: int, starts: np.ndarray) -> np.ndarray:
-    """Return by how much the squared residual (g,) falls where one output's forces are turned from each start (g,) on."""
+    """Return the decrease of the squared residual (g,) if one output's forces change sign from each start (g,) on."""
     mine = np.where(white.output == output, white.y, 0.0)[:, None]
     before = white.Q.T @ white.y
     after = before - 2 * _sum_after(starts, mine, white.Q)[:, 0]
@@ -86,9 +85,9 @@ def _scan_sign(white: OrderedRows, output: int, starts: np.ndarray) -> np.ndarra
 def select_hypothesis(
     white: OrderedRows, hypotheses: Sequence[Hypothesis], n_hypotheses: int
 ) -> tuple[Hypothesis, float] | None:
-    """Return the hypothesis of the largest statistic, each column at the price of Schwarz' criterion, and its time [s].
+    """Return the hypothesis of the largest statistic, penalised by Schwarz' criterion for each column, and its time [s].
 
-    None where not even independent noise in the rows would make it significant: coloured noise makes a chance larger.
+    None if it would not be significant even with independent noise in the rows: coloured noise makes p-values larger.
     """
     best: tuple[float, Hypothesis, float] | None = None
     for hypothesis in hypotheses:
@@ -110,20 +109,20 @@ def select_hypothesis(
 
 
 def _find_gap(white: OrderedRows, output: int, start: int) -> tuple[float, float]:
-    """Return the times of the last row before a start and of the start [s], of the output that changes."""
+    """Return the times of the last row before a start and of the start [s], for the output that changes."""
     before = white.t[:start][(white.output[:start] == output) | (output < 0)]
     return float(before[before < white.t[start]].max()), float(white.t[start])
 
 
 class Step(NamedTuple):
-    """A step at its best time, against noise that was estimated with it.
+    """A step at its best time, tested against noise that was estimated with it.
 
     Attributes:
         time_s: Its time, in the middle between two usable rows [s].
         time_stderr_s: Standard error [s].
-        factor: The factor that it is; 1 for a step of columns.
+        factor: Its factor; 1 for a step of columns.
         amplitudes: Amplitudes of its columns (d,).
-        chance: Chance of its statistic at one time, by the scatter of blocks.
+        chance: p-value of its statistic at one time, by the scatter of blocks.
         over_drift: Statistic over that of the best drift of the same columns.
         drift: Number of that drift in `list_drifts`.
         n_blocks: Blocks of 2 s.
@@ -140,9 +139,9 @@ class Step(NamedTuple):
 
 
 def fit_step(data: LogData, hypothesis: Hypothesis, time_s: float) -> Step | None:
-    """Return the step with noise and time of its own; None where the rows do not show one.
+    """Return the step with its own noise and time; None if the rows do not show a step.
 
-    Its time is looked for in rows that are weighed but not whitened: an autoregressive filter would smear the step.
+    Its time is searched in rows that are weighted but not whitened: an autoregressive filter would smooth the step.
     """
     factor, stderr = -1.0 if hypothesis.kind == "sign" else 1.0, 0.0
     for _ in range(2):
@@ -164,7 +163,7 @@ def fit_step(data: LogData, hypothesis: Hypothesis, time_s: float) -> Step | Non
 def _estimate_noise_with(
     data: LogData, hypothesis: Hypothesis, time_s: float, factor: float, order: int
 ) -> tuple[Autoregression, ...]:
-    """Return the noise with a change accounted for and without the samples about it; of a factor, of forces before it."""
+    """Return the noise with a change in the model and without the samples about it; for a factor, from forces before it."""
     taken = data.take(hypothesis, time_s, factor).leave_out(time_s)
     return estimate_noise(taken, order)
 
@@ -178,7 +177,7 @@ def _make_step(white: OrderedRows, hypothesis: Hypothesis, time_s: float, factor
 
 
 def _estimate_factor(white: OrderedRows, changed: np.ndarray, factor: float, output: int) -> tuple[float, np.ndarray]:
-    """Return the factor of one output's forces where they changed (R,), and their prediction without it (R, 1)."""
+    """Return the factor of one output's forces at the changed rows (R,), and their prediction without it (R, 1)."""
     f = white.y
     for _ in range(20):
         made = np.where(changed, white.y / factor, white.y)
@@ -190,7 +189,7 @@ def _estimate_factor(white: OrderedRows, changed: np.ndarray, factor: float, out
 
 
 def _find_time(white: OrderedRows, C: np.ndarray, output: int, near: float) -> tuple[float, float]:
-    """Return the best time of a step of columns C (R, d), and its standard error [s]: of equally likely times."""
+    """Return the best time of a step of columns C (R, d), and its standard error [s], that of a uniform 95 % interval."""
     starts = np.unique(np.concatenate([_list_times(white, output), _list_times(white, output, near)]))
     T = _scan_steps(white, C, starts)
     within = starts[T >= T.max() - stats.chi2.ppf(0.95, 1)]
@@ -217,7 +216,7 @@ def _measure_step(white: OrderedRows, C: np.ndarray, time_s: float, stderr: floa
 
 
 def _measure_scatter(block: np.ndarray, scores: np.ndarray, square: float) -> float:
-    """Return the largest scatter of blocks' scores, joined to several lengths, over what white noise gives."""
+    """Return the largest scatter of blocks' scores, joined to several lengths, divided by that of white noise."""
     found = [compute_overdispersion(block, scores, square)]
     for together in BLOCKS_TOGETHER[1:]:
         joined = block // together

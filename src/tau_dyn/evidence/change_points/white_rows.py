@@ -12,19 +12,19 @@ from tau_dyn.evidence.change_points.log_data import Columns, Hypothesis, LogData
 from tau_dyn.evidence.null_model import fit_noise_model, orthonormalise, smooth
 
 SLOW_SPEED_SHARES = (0.02, 0.06, 0.2)
-"""Speeds over the fastest at which Stribeck friction that the model may lack has fallen to a third: a logarithmic grid, as
-polynomials of the speed do not follow it."""
+"""Speeds, relative to the fastest, at which missing Stribeck friction of the model may have decreased to a third: a logarithmic
+grid, as polynomials of the speed do not fit it."""
 
 
 @dataclass(frozen=True, eq=False)
 class OrderedRows:
-    """White rows of one log in time order, no change accounted for that is not in the columns.
+    """White rows of one log in time order; only changes in the columns are in the model.
 
     Attributes:
-        whiten: Makes rows of arrays over the runs.
+        whiten: Converts arrays over the runs to white rows.
         order: Order of those rows in time (R,).
         y: Forces (R,).
-        Q: Orthonormal basis of everything accounted for (R, r).
+        Q: Orthonormal basis of everything in the model (R, r).
         t: Times (R,) [s].
         output: Outputs (R,).
         block: Numbers of blocks of 2 s (R,).
@@ -48,14 +48,14 @@ class OrderedRows:
         return self.whiten(columns)[self.order]
 
     def make_rows(self, hypothesis: Hypothesis) -> np.ndarray:
-        """Return the rows (R, d) whose step a hypothesis is; of a factor, the predicted force."""
+        """Return the rows (R, d) whose step is the hypothesis; the predicted force for a factor."""
         if hypothesis.columns:
             return self.whiten_columns(hypothesis.columns)
         return np.where(self.output == hypothesis.output, self.fit, 0.0)[:, None]
 
 
 def make_rows(data: LogData, noise: Sequence[Autoregression]) -> OrderedRows | None:
-    """Return white rows; None where the log is too short for its columns."""
+    """Return white rows; None if the log is too short for its columns."""
     runs, rich = data.runs, _build_smooth_columns(data.regression)
     known = data.columns
     if sum(int(run.usable.sum()) for run in runs) < 2 * (sum(x[0].shape[1] for x in rich) + known[0].shape[2]):
@@ -86,7 +86,7 @@ def _build_smooth_columns(regression: Regression) -> list[list[np.ndarray]]:
 
 
 def estimate_noise(data: LogData, order: int) -> tuple[Autoregression, ...]:
-    """Return the noise model of each output, of at most an order, its variance free of the bias of the fitted columns."""
+    """Return the noise model of each output, up to an order, with its variance corrected for the fitted columns."""
     runs, known, rich = data.runs, data.columns, _build_smooth_columns(data.regression)
     found = []
     for k in range(len(data.regression.outputs)):
