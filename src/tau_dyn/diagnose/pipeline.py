@@ -62,6 +62,7 @@ from tau_dyn.evidence import (
     find_poor_fits,
     fit_extended_model,
     list_changes,
+    list_contradicting,
     measure_net_forces,
     recommend,
     search_channel,
@@ -72,6 +73,7 @@ from tau_dyn.log import Log
 from tau_dyn.message_codes import get_code
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
+from tau_dyn.results import capitalise
 from tau_dyn.robot import Robot
 
 _MEND = "mend the log or its column map as the first warning says, or record it again"
@@ -271,18 +273,20 @@ def _answer(
     band = (
         None if case is None else _measure_search_band(channel, before, after, case.preparation.force_cutoff_hz, seed)
     )
-    rest = "cannot_tell" if spoiled else decide_verdict(findings, unexplained, aliased)
+    use = Recommendation("neither", spoiled)
+    if not spoiled:
+        use = recommend(selection, claims, waterfall, rng, case and case.physics, has_load=bool(loads.confirmed))
+    warnings = tuple(dict.fromkeys((*warnings, *use.warnings)))
+    rest = "cannot_tell" if spoiled else decide_verdict(findings, unexplained, aliased, warnings)
     verdict = "named" if loads.confirmed and rest in ("nothing_found", "unexplained") else rest
     sentence = f"These data name no cause: {spoiled}."
     if not spoiled:
         errors = before.reported.errors, after.reported.errors, band
         sentence = describe_diagnosis(channel, rest, findings, aliased, unexplained, errors, loads.confirmed)
-        sentence = f"{sentence} {found.remark}".rstrip()
+        reasons = list_contradicting(warnings) if rest == "unexplained" else []
+        sentence = " ".join(filter(None, (sentence, found.remark, *(f"{capitalise(reason)}." for reason in reasons))))
     experiments = (f.experiment for f in aliased or findings if f.experiment and verdict == "cannot_tell")
     limits, untestable = compute_detection_limits(selection, [f.cause for f in findings])
-    use = Recommendation("neither", spoiled)
-    if not spoiled:
-        use = recommend(selection, claims, waterfall, rng, case and case.physics, has_load=bool(loads.confirmed))
     floor = estimate_noise_floor(channel.report(), after.reported, np.random.default_rng(seed))
     settings = {"noise_draws": N_NULL_DRAWS, "family_level": FAMILY_LEVEL, "causes_tried": len(selection.last)}
     return Diagnosis(
@@ -304,7 +308,7 @@ def _answer(
         traces=_build_traces(channel, before, after),
         n_parts=_measure_parts(channel),
         how=how,
-        warnings=tuple(dict.fromkeys((*warnings, *use.warnings))),
+        warnings=warnings,
         seed=seed,
         experiment=_MEND if spoiled else next(experiments, ""),
         recommendation=use.choice,

@@ -61,6 +61,7 @@ from .judge import (
     ExaminationOptions as ExaminationOptions,
     decide_verdict as decide_verdict,
     examine_channel as examine_channel,
+    list_contradicting as list_contradicting,
     search_channel as search_channel,
 )
 from .lack_of_fit import (

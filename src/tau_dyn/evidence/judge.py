@@ -37,6 +37,7 @@ from tau_dyn.evidence.stepwise_selection import SelectedCause, StepwiseSelection
 from tau_dyn.evidence.unexplained import NoiseConsistency, add_inconsistent, assess_noise_consistency, build_unexplained
 from tau_dyn.evidence.unknown_structure import Structure, compute_structure_p_value, find_structure
 from tau_dyn.evidence.validation import ConfirmationResults, confirm_all, confirm_within_training
+from tau_dyn.message_codes import get_code
 from tau_dyn.parameters import Parameters
 
 MAX_SEARCHES = 3
@@ -263,7 +264,7 @@ def _require_consistency(
     if not claims.kept:
         return found
     tests = _assess_noise_consistency(found, options)
-    inconsistent = {test.output for test in tests if not test.is_consistent}
+    inconsistent = {test.output for test in tests if test.is_repeated}
     for one in (one for fit in earlier for one in fit.rejected):
         if _confirm_with_others(found.selection, one, claims.kept).is_confirmed:
             inconsistent |= {joint for effect in one.candidate.effects for joint in effect.joints}
@@ -338,8 +339,15 @@ def _is_gain_or_body(finding: Finding) -> bool:
     return "drive_gain" in twins or (finding.cause == "drive_gain" and bool(twins))
 
 
+CONTRADICTING = ("changes_within_log", "holdout_differs", "poor_fit")
+"""Codes of warnings that no residual consistent with the noise permits: a log that changes, logs that differ, a force missed."""
+
+
 def decide_verdict(
-    findings: Sequence[Finding], unexplained: Sequence[Unexplained], aliased: Sequence[Finding] = ()
+    findings: Sequence[Finding],
+    unexplained: Sequence[Unexplained],
+    aliased: Sequence[Finding] = (),
+    warnings: Sequence[str] = (),
 ) -> Verdict:
     """Return the verdict.
 
@@ -347,6 +355,7 @@ def decide_verdict(
         findings: All findings, parameters that differ from their nominal values included.
         unexplained: Structure without a name; its confirmed entries forbid `nothing_found`.
         aliased: Findings whose period is open.
+        warnings: Warnings about the logs and the fit; those of `CONTRADICTING` forbid `nothing_found`.
     """
     if any(f.status == "confirmed" for f in findings):
         return "named"
@@ -356,4 +365,10 @@ def decide_verdict(
     if parameters:
         return "named"
     shown = any(f.status == "suspected" and f.is_shown for f in findings)
-    return "unexplained" if shown or any(u.status == "confirmed" for u in unexplained) else "nothing_found"
+    shown = shown or any(u.status == "confirmed" for u in unexplained)
+    return "unexplained" if shown or list_contradicting(warnings) else "nothing_found"
+
+
+def list_contradicting(warnings: Sequence[str]) -> list[str]:
+    """Return the warnings that contradict a residual consistent with the noise."""
+    return [warning for warning in warnings if get_code(warning) in CONTRADICTING]
