@@ -142,6 +142,18 @@ def test_the_extended_model_is_recommended_where_the_error_falls(make, rng):
     assert stand(make.bench(rng, n=8000, causes=(QuadraticDrag,)), rng)[1].choice == "refitted"
 
 
+def test_an_output_that_loses_in_the_reported_errors_forbids_the_extended_model(make, rng):
+    """The causes are searched in a wider band, but the recommendation is also true of the errors that are printed."""
+    channel = make.bench(rng, drag, n=8000, causes=(QuadraticDrag,))
+    selection = select_causes(channel, rng, lambda step: None)
+    claims = select_confirmed(selection, [confirm_cause(selection, one) for one in selection.found])
+    claims, waterfall = select_supported(selection, claims, rng)
+    first, *_, last = waterfall.fits
+    poor = replace(last, other=replace(first, residuals=[1.2 * e for e in first.residuals]))
+    found = recommend(selection, claims, waterfall._replace(fits=[first, poor]), rng)
+    assert found.choice == "refitted" and "x by 20 %" in found.why
+
+
 def test_held_out_logs_of_another_machine_are_told(make, rng):
     """Where held-out errors are many times the training errors neither model is that of the held-out machine."""
     motions = tuple(make.moving(rng, ("x",), 4000) for _ in range(2))

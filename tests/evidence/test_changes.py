@@ -86,6 +86,22 @@ def test_a_brake_that_starts_to_drag_is_friction_and_a_constant_force_is_none():
     assert pull.after == pytest.approx(1.0, abs=0.1)
 
 
+def test_a_brake_on_a_vertical_slide_is_found_beside_its_weight():
+    """The weight of a slide is a constant force and no part of its friction, with which a change of friction is compared.
+
+    With the drive's inertia free, a fit cannot separate the weight from a difference of both Coulomb values.
+    """
+    clean = make_regression(2)
+    (run,) = clean.runs
+    W = run.W.copy()
+    W[:, 0, 0], W[:, 0, 1] = 0.1 * W[:, 0, 0] + 9.81, 0.1 * W[:, 0, 0]  # a mass that hangs, and a drive inertia
+    run = replace(run, W=W, W_all=W, y=run.y + (W - run.W) @ TRUE)
+    drag = is_late(clean) * [0.8, 0.0] * np.sign(run.signals["v"])
+    (brake,) = find_changes(add_force(replace(clean, runs=(run,)), drag))
+    assert (brake.kind, brake.joint) == ("friction", "j1")
+    assert brake.after - brake.before == pytest.approx(0.8, abs=0.1)
+
+
 def test_a_tool_that_is_picked_up_loads_all_joints_at_once():
     """One body explains the change at both joints; no joint gets a change of its own."""
     clean = make_regression(3)

@@ -19,15 +19,17 @@ from tau_dyn.evidence import (
     decide_verdict,
     examine_channel,
     judge,
+    list_contradicting,
 )
 from tau_dyn.evidence.candidate_scan import GroupTest, combine_group_tests, compute_null_moments
 from tau_dyn.evidence.claims import MAX_OUTPUT_LOSS_PERCENT, is_worse
 from tau_dyn.evidence.judge import AmplitudesWithRejected, explain_dependence
-from tau_dyn.evidence.measurements import HELD_OUT, TRAIN
+from tau_dyn.evidence.measurements import HELD_OUT, TEST, TRAIN
 from tau_dyn.evidence.null_model import NullModel
 from tau_dyn.evidence.stepwise_selection import select_causes
 from tau_dyn.evidence.unexplained import assess_noise_consistency
 from tau_dyn.evidence.unknown_structure import list_dependences
+from tau_dyn.message_codes import CodedWarning
 
 
 def assess(channel, rng) -> dict[str, float]:
@@ -60,6 +62,21 @@ def test_a_dependence_that_differs_between_parts_is_above_the_noise(make, rng):
         return np.where(parts == 0, 400.0, -400.0)[:, None] * motion.q**3
 
     assert assess(make.bench(rng, hidden), rng)["x"] < 1e-6
+
+
+@pytest.mark.parametrize("part", [TRAIN, TEST])
+def test_a_force_in_one_data_set_alone_is_above_the_noise(make, rng, part):
+    """A load in one log is no noise, although the other logs do not repeat it."""
+    parts = make.turns(4000)
+
+    def hidden(motion):
+        return np.where(parts == part, 4000.0, 0.0)[:, None] * motion.q**3
+
+    channel = make.bench(rng, hidden)
+    selection = select_causes(channel, rng, lambda step: None)
+    null_models = [NullModel.of(selection.library, p, selection.null_model.noise) for p in ((TRAIN,), HELD_OUT)]
+    (one,) = assess_noise_consistency(null_models)
+    assert one.p_single < 1e-8 and not one.is_consistent
 
 
 class NarrowDrag(QuadraticDrag):
@@ -206,6 +223,15 @@ def test_a_rejected_cause_that_validation_data_show_forbids_nothing_found(findin
     assert decide_verdict(findings, ()) == verdict
 
 
+@pytest.mark.parametrize("code", ["changes_within_log", "holdout_differs", "poor_fit"])
+def test_logs_that_differ_or_change_forbid_nothing_found(code):
+    """A residual cannot be noise if a log changes, logs differ or much of the force is missed; other warnings are no evidence."""
+    warnings = [CodedWarning("lost_samples", "samples were lost"), CodedWarning(code, "something differs")]
+    assert decide_verdict([], (), warnings=warnings[:1]) == "nothing_found"
+    assert decide_verdict([], (), warnings=warnings) == "unexplained"
+    assert list_contradicting(warnings) == warnings[1:]
+
+
 @pytest.mark.parametrize(("tests", "dof", "one_sided"), [(1.0, 1, False), (12.0, 2, False), (5.0, 1, True)])
 def test_moments_of_the_largest_statistic_agree_with_draws(rng, tests, dof, one_sided):
     """Mean and variance of the largest of m chi-squares: analytic against a hundred thousand draws."""
@@ -245,6 +271,7 @@ def recommend_with(
 ) -> Any:
     """Return the recommendation for two errors [%], others that are reported, and the loss of each output [%]."""
     channel = SimpleNamespace(name="force", outputs=tuple(losses), parts=(np.array([0, 1, 2]),))
+    channel.report = lambda: channel
     total = Gain(before, after, 100 * (1 - after / before), (1.0, 40.0))
     gains = {output: Gain(1.0, 1 + x / 100, -x, (-x - 0.5, -x + 0.5)) for output, x in losses.items()}
     monkeypatch.setattr(claims_module, "compute_gain", lambda c, b, a, joints, rng: gains[joints[0]])
@@ -254,7 +281,7 @@ def recommend_with(
         for pair in ((before, after), reported or (before, after))
     )
     fits = [
-        SimpleNamespace(residuals=[], errors=e, reported=SimpleNamespace(errors=other))
+        SimpleNamespace(residuals=[], errors=e, reported=SimpleNamespace(residuals=[], errors=other))
         for e, other in zip(errors, others, strict=True)
     ]
     waterfall = SimpleNamespace(fits=fits, nominal=None)

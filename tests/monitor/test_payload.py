@@ -125,6 +125,17 @@ def test_two_equal_runs_carry_nothing(arm) -> None:
     )
 
 
+def test_exchanged_runs_give_no_payload(arm) -> None:
+    """If the loaded logs weigh less, the answer states by how much and reports no payload as determined."""
+    logs = [record(arm, carry(arm, m), k, f"{k}.csv") for k, m in enumerate((0.0, MASS))]
+    found = identify_payload(arm.robot, logs[1:], logs[:1])
+    stream = io.StringIO()
+    print_result(Console(file=stream, width=90), found)
+    text = " ".join(stream.getvalue().split())
+    assert found.is_lighter and found.findings[0].status == "suspected"
+    assert "lighter than the empty ones" in text and "so no payload is determined" in text and "kg more" not in text
+
+
 def test_a_plate_that_never_turns_tells_the_mass_alone(tmp_path) -> None:
     """The L1's plate only shifts, so no motion tells where a mass sits on it; a model file is a robot, too."""
     model = build(GANTRY)

@@ -61,6 +61,9 @@ from tau_dyn.robot import LinkInertia, Robot
 
 REFERENCE = "\0model file"
 """Name of the campaign that represents the values of a model file; no file has this name."""
+_BODIES = "bodies"
+_SMALL_BODY_CHANGE = 0.01
+"""Statistic of a change of the bodies over that of a load below which the load alone is reported: a tenth of its force."""
 _FRICTION = "friction"
 
 
@@ -125,7 +128,7 @@ def find_loads(
     carried = [one for one in changes if one.kind == PAYLOAD]
     if not carried:
         return []
-    study = study.account_for([one for one in changes if one.kind != PAYLOAD])
+    study = study.account_for([one for one in changes if one.kind != PAYLOAD and not _is_small(one, carried)])
     groups = study.choose_reference([(one.log,) for one in carried], logs, identified)
     known = identified and {log for group in groups for log in group} == set(logs)
     found = [study.describe(group, groups, carried, logs, known, rng) for group in groups]
@@ -295,6 +298,12 @@ class _Study:
         return ""
 
 
+def _is_small(change: CampaignChange, carried: Sequence[CampaignChange]) -> bool:
+    """Return whether a change of the bodies is small next to a load of the same log, whose force free bodies would take up."""
+    loads = [one.statistic for one in carried if one.log == change.log and one.explains]
+    return change.kind == _BODIES and bool(loads) and change.statistic < _SMALL_BODY_CHANGE * max(loads)
+
+
 def _list_kinds(
     case: FittedBaseline, body: LinkInertia, channel: CampaignChannel, plain: Estimate, loads: Sequence[np.ndarray]
 ) -> dict[str, list[np.ndarray]]:
@@ -315,7 +324,7 @@ def _list_kinds(
     for k, joint in enumerate(robot.actuated):
         only = np.arange(robot.na) == k
         kinds[f"force of {joint}"] = [((run.W @ theta) * only)[:, :, None] for run in channel.runs]
-    kinds["bodies"] = [run.W[:, :, bodies] for run in channel.runs]
+    kinds[_BODIES] = [run.W[:, :, bodies] for run in channel.runs]
     return kinds
 
 

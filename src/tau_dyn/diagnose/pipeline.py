@@ -278,7 +278,7 @@ def _answer(
         use = recommend(selection, claims, waterfall, rng, case and case.physics, has_load=bool(loads.confirmed))
     warnings = tuple(dict.fromkeys((*warnings, *use.warnings)))
     rest = "cannot_tell" if spoiled else decide_verdict(findings, unexplained, aliased, warnings)
-    verdict = "named" if loads.confirmed and rest in ("nothing_found", "unexplained") else rest
+    verdict = "named" if loads.confirmed and not spoiled else rest
     sentence = f"These data name no cause: {spoiled}."
     if not spoiled:
         errors = before.reported.errors, after.reported.errors, band

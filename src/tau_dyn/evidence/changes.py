@@ -231,7 +231,7 @@ def _measure(data: LogData, hypothesis: Hypothesis, step: Step) -> tuple[float, 
         force = np.concatenate([run.y[run.usable[:, k], k] for run in data.runs])
         friction, coulomb = _estimate_friction(data, k)
         added = _add_step(data, hypothesis, step, k) if hypothesis.columns else (step.factor - 1) * force
-        least = max(MAX_LAW_ERROR * float(np.std(force)), MIN_FRICTION_RATIO * _measure_rms(friction))
+        least = max(MAX_LAW_ERROR * float(np.std(force)), MIN_FRICTION_RATIO * float(np.std(friction)))
         sizes.append(_measure_rms(added) / max(least, 1e-300) if len(added) else 0.0)
     size = max(sizes)
     if not hypothesis.columns:

@@ -360,15 +360,15 @@ def recommend(
     if not claims.kept:
         load = "no cause but the load is confirmed, which is the log's own"
         return Recommendation("refitted", load if has_load else "no cause is confirmed")
-    worse = [
-        (output, -gain.reduction_percent)
+    bands = [(channel.report(), before.reported, after.reported), (channel, before, after)]
+    worse = {
+        output: -gain.reduction_percent
+        for data, one, other in bands
         for output in channel.outputs
-        if is_worse(
-            gain := compute_gain(channel, before.residuals, after.residuals, [output], rng), MAX_OUTPUT_LOSS_PERCENT
-        )
-    ]
+        if is_worse(gain := compute_gain(data, one.residuals, other.residuals, [output], rng), MAX_OUTPUT_LOSS_PERCENT)
+    }
     if worse:
-        listed = ", ".join(f"{output} by {loss:.2g} %" for output, loss in worse)
+        listed = ", ".join(f"{output} by {loss:.2g} %" for output, loss in worse.items())
         return Recommendation("refitted", f"the confirmed causes increase the held-out error at {listed}")
     pairs = ((before.reported.errors, after.reported.errors), (before.errors, after.errors))
     printed = [[format_percent(e.relative_error_percent, PRINTED_DIGITS) for e in pair] for pair in pairs]

@@ -15,7 +15,11 @@ from tau_dyn.render.presentation import flatten_rows, present_kind, warn
 def present_payload(found: PayloadEstimate) -> r.Presentation:
     """Return the presentation of a payload."""
     mass, limit = found.mass, r.format_number(found.largest_mass, 2)
-    if found.differs:
+    if found.is_lighter:
+        less = r.format_number(-found.plain_mass, 3)
+        headline = f"The loaded logs are lighter than the empty ones by {less} kg, so no payload is determined."
+        verdict = r.Verdict("poor", "Exchange the empty and the loaded logs if they were mixed up.")
+    elif found.differs:
         said = r.format_with_uncertainty(float(mass.values[0]), float(mass.stderr[0]))
         headline = f"{found.link} carries {said} kg more in the loaded logs."
         missing = [name for name, part in (("centre", found.centre), ("inertia", found.inertia)) if not part.determined]
