@@ -5,14 +5,6 @@ from .compiled_plant import (
     PlantMotion as PlantMotion,
     compare_equations as compare_equations,
 )
-from .contact import (
-    ContactRun as ContactRun,
-    ContactSensors as ContactSensors,
-    Hand as Hand,
-    ServoArm as ServoArm,
-    run_contact as run_contact,
-)
-from .contact_work import CompliantSurface as CompliantSurface, Hole as Hole
 from .controllers import (
     CascadeController as CascadeController,
     CascadeLaw as CascadeLaw,
