@@ -65,6 +65,11 @@ from .mechanism import (
     jacobian as jacobian,
     solve_all_configurations as solve_all_configurations,
 )
+from .newton_euler import (
+    compute_tree_forces as compute_tree_forces,
+    list_inertial_numbers as list_inertial_numbers,
+    list_weights as list_weights,
+)
 from .plate_on_legs import PlateOnLegs as PlateOnLegs, Rods as Rods, build_rods as build_rods
 from .poses import (
     JOINT_LIMIT as JOINT_LIMIT,

@@ -12,25 +12,15 @@ Forces inside come from the same virtual work: no drive holds the passive joints
 from __future__ import annotations
 
 from functools import wraps
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.mechanism.batched import BatchedTree, Partial, compute_body_wrench, iterate_blocks
-from tau_dyn.mechanism.frames import (
-    FrameMotion,
-    Joint,
-    Vector,
-    add_vectors,
-    compute_cross_product,
-    list_joints,
-    rotate_into_frame,
-    transform_point,
-)
+from tau_dyn.mechanism.batched import BatchedTree, iterate_blocks
+from tau_dyn.mechanism.frames import Joint, add_vectors, list_joints, rotate_into_frame
 from tau_dyn.mechanism.gantry_tau import GantryTauMechanism
-from tau_dyn.mechanism.loop_arrays import ClosedLoops
 from tau_dyn.mechanism.loops import Constraints, LoopSolver, compute_turning_rates, find_passive_pairs
 from tau_dyn.mechanism.mechanism import Mechanism, require_tool_frame
 from tau_dyn.mechanism.small_systems import measure_column_lengths
@@ -202,6 +192,7 @@ class SamplewiseTree(Mechanism):
         model, data = self.model, self.data
         forces = np.zeros((model.njoints, 6))
         tau = pin.rnea(model, data, q, v, a) + self._extra(q)
+        pin.updateGlobalPlacements(model, data)
         points = [(name.rsplit(".", 1)[0], self.robot.parameters[name].value) for name in self._gravity_only]
         pushes = [(model.getFrameId(link), mass * model.gravity.linear) for link, mass in points]
         if self.robot.loops:
@@ -268,19 +259,12 @@ class SamplewiseTree(Mechanism):
         return -jacobian[:3].T @ self.model.gravity.linear
 
 
-class _Load(NamedTuple):
-    """What acts on one joint's body: force and moment (3, N) about its origin, in world axes, None for zero."""
-
-    force: Vector
-    moment: Vector
-
-
 class LoadedTree(BatchedTree):
     """Batched dynamics, and what joints carry inside a mechanism: forces across guideways, and how bearings turn.
 
     No drive holds the passive joints, so the loops' forces `lambda` do: `J_p' lambda = tau_p`, where `tau_p` are the forces that
     the open tree would need there. What everything beyond a slide's own link puts on that link is then the loops' pulls on its
-    subtree less what accelerates and carries the bodies behind it. Moments do not pass into it. All in world axes.
+    subtree less what accelerates and carries the bodies behind it. Moments do not pass into it.
     """
 
     def __init__(self, robot: Robot, solver: LoopSolver, joints: list[Joint]) -> None:
@@ -324,67 +308,18 @@ class LoadedTree(BatchedTree):
         return np.concatenate(found)
 
     def _fill_guides(self, out: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
-        closed, moving = self.moving(q, v, a)
-        inertial = {link.joint_id: self._inertial(closed, moving, link.joint_id) for link in self.robot.links}
-        pulls = self._pulls(closed, inertial)
-        model = self.solver.model
+        closed, tree = self.open_tree(q, v, a)
+        pulls = closed.inverse.solve_transposed(tree.tau[self.solver.passive_v]) if self.robot.loops else None
         for i, (name, kind) in enumerate(zip(self.robot.actuated, self.robot.joint_kinds, strict=True)):
             if kind != "prismatic":
                 continue
-            own = model.getJointId(name)
-            inside = [j.index for j in self.joints if own in model.supports[j.index].tolist()]
-            beyond = np.zeros((3, len(q)))
-            for j in inside:
-                beyond += pulls.get(j, 0.0)
-                if j != own:
-                    needed = inertial[j].force if j in inertial else None
-                    beyond -= 0.0 if needed is None else needed
-                    beyond += sum(w.mass for w in self.weights if w.joint == j) * self.gravity[:, None]
-            axis = closed.at.axis[own]
-            out[i] = beyond - (beyond * axis).sum(axis=0) * axis
-
-    def _inertial(self, closed: ClosedLoops, moving: FrameMotion, joint: int) -> _Load:
-        """Return what accelerates and carries a body."""
-        blank = Partial(np.zeros(0, int), np.zeros((3, 0, closed.x.shape[1])), None)
-        force, moment = compute_body_wrench(self._body(closed, moving, blank, joint), self.pi[joint])
-        back = closed.at.rotation[joint].transpose(1, 0, 2)
-        return _Load(*(None if x is None else rotate_into_frame(back, x) for x in (force, moment)))
-
-    def _pulls(self, closed: ClosedLoops, inertial: dict[int, _Load]) -> dict[int, np.ndarray]:
-        """Return the loops' forces (3, N) on the joints' bodies they end on."""
-        found: dict[int, np.ndarray] = {}
-        if not self.robot.loops:
-            return found
-        tau = self._open_tree(closed, inertial)[self.solver.passive_v]
-        forces = closed.inverse.solve_transposed(tau).reshape(len(self.robot.loops), 3, -1)
-        for loop, force in zip(self.robot.loops, forces, strict=True):
-            for frame, sign in ((loop.frame_a, 1.0), (loop.frame_b, -1.0)):
-                joint = self.solver.model.frames[frame].parentJoint
-                found[joint] = found.get(joint, 0.0) + sign * force
-        return found
-
-    def _open_tree(self, closed: ClosedLoops, inertial: dict[int, _Load]) -> np.ndarray:
-        """Return the tree's joint forces (nv, N) with all loops cut: the recursion from the tips to the base."""
-        at, n = closed.at, closed.x.shape[1]
-        force: list[Vector] = [None] * (len(self.joints) + 1)
-        moment: list[Vector] = [None] * (len(self.joints) + 1)
-        for joint, load in inertial.items():
-            force[joint], moment[joint] = load
-        for weight in self.weights:
-            held = np.repeat(-weight.mass * self.gravity[:, None], n, axis=1)
-            arm = transform_point(at, weight.joint, weight.local) - at.origin[weight.joint]
-            force[weight.joint] = add_vectors(force[weight.joint], held)
-            moment[weight.joint] = add_vectors(moment[weight.joint], compute_cross_product(arm, held))
-        tau = np.zeros((self.solver.model.nv, n))
-        for joint in reversed(self.joints):
-            f, m = force[joint.index], moment[joint.index]
-            acting = f if joint.slides else m
-            if acting is not None:
-                tau[joint.v] = (at.axis[joint.index] * acting).sum(axis=0)
-            arm = at.origin[joint.index] - at.origin[joint.parent]
-            force[joint.parent] = add_vectors(force[joint.parent], f)
-            moment[joint.parent] = add_vectors(moment[joint.parent], add_vectors(m, compute_cross_product(arm, f)))
-        return tau
+            own = self.solver.model.getJointId(name)
+            back, carried = closed.at.rotation[own].transpose(1, 0, 2), tree.beyond[own]
+            beyond = None if carried is None else rotate_into_frame(back, carried)
+            beyond = add_vectors(beyond, None if pulls is None else self.loops.carried_force(pulls, own))
+            if beyond is not None:
+                axis = closed.at.axis[own]
+                out[i] = beyond - (beyond * axis).sum(axis=0) * axis
 
 
 MAX_ONE_BY_ONE = 12
