@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.geometry import Closure, GeometryDefaults, Predicted
+from tau_dyn.calibrate.geometry import Closure, Geometry, Predicted
 from tau_dyn.calibrate.joint_laws import Displaced, Law, displace
 from tau_dyn.calibrate.robot_file import format_corrected_rods
 from tau_dyn.mechanism import (
@@ -76,7 +76,7 @@ class _PlacedRods(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class RodGeometry(GeometryDefaults):
+class RodGeometry(Geometry):
     """A parallel robot with free dimensions.
 
     Attributes:
@@ -170,7 +170,7 @@ class RodGeometry(GeometryDefaults):
     @property
     def beyond_file(self) -> str:  # type: ignore[override]
         """Laws of drives and guideways."""
-        return GeometryDefaults.beyond_file if self.laws else ""
+        return Geometry.beyond_file if self.laws else ""
 
     def format_urdf(self, theta: np.ndarray) -> str:
         """Return the robot file with these dimensions."""
