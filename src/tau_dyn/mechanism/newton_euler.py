@@ -33,9 +33,18 @@ from tau_dyn.robot import Robot, compute_inertia_matrix
 
 
 class Weight(NamedTuple):
-    """A mass that only gravity feels: its column among the parameters, joint, place in that joint's frame, and value [kg]."""
+    """A mass that only gravity feels.
+
+    Attributes:
+        column: Among the parameters.
+        frame: Index of its link's frame.
+        joint: Index of the joint that carries it.
+        local: Its place in that joint's frame (3,) [m].
+        mass: Its value [kg].
+    """
 
     column: int
+    frame: int
     joint: int
     local: np.ndarray
     mass: Any
@@ -51,8 +60,9 @@ def list_weights(robot: Robot, value: Callable[[str], Any]) -> list[Weight]:
     found, model = [], robot.model
     for column, name in enumerate(robot.parameters.names):
         if name.endswith(".gravity_mass"):
-            frame = model.frames[model.getFrameId(name.rsplit(".", 1)[0])]
-            found.append(Weight(column, int(frame.parentJoint), frame.placement.translation.copy(), value(name)))
+            index = model.getFrameId(name.rsplit(".", 1)[0])
+            frame = model.frames[index]
+            found.append(Weight(column, index, int(frame.parentJoint), frame.placement.translation.copy(), value(name)))
     return found
 
 

@@ -23,6 +23,7 @@ from tau_dyn.mechanism.frames import Joint, add_vectors, list_joints, rotate_int
 from tau_dyn.mechanism.gantry_tau import GantryTauMechanism
 from tau_dyn.mechanism.loops import Constraints, LoopSolver, compute_turning_rates, find_passive_pairs
 from tau_dyn.mechanism.mechanism import Mechanism, require_tool_frame
+from tau_dyn.mechanism.newton_euler import Weight, list_weights
 from tau_dyn.mechanism.small_systems import measure_column_lengths
 from tau_dyn.robot import Robot
 
@@ -47,21 +48,20 @@ class SamplewiseTree(Mechanism):
         self._sliding = [k for k, kind in enumerate(robot.joint_kinds) if kind == "prismatic"]
         if robot.loops:
             self._refuse_free_motion()
-        self._gravity_only = [p.name for p in robot.parameters if p.name.endswith(".gravity_mass")]
+        self._weights = list_weights(robot, lambda name: robot.parameters[name].value)
 
     def regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return `Y` (N, na, p); see `Mechanism.regressor`."""
         q, v, a = self._checked(q, v, a)
-        names = self.robot.parameters.names
-        Y = np.zeros((len(q), self.robot.na, len(names)))
+        Y = np.zeros((len(q), self.robot.na, len(self.robot.parameters)))
         n_inertial = self._map.shape[1]
         for k in range(len(q)):
             state = self.solver.state(q[k], v[k], a[k])
             tree = pin.computeJointTorqueRegressor(self.model, self.data, state.q, state.v, state.a)
             tree = tree.reshape(self.model.nv, -1)  # eigenpy hands a single row out as a vector
             Y[k, :, :n_inertial] = state.G.T @ tree @ self._map
-            for name in self._gravity_only:
-                Y[k, :, names.index(name)] = state.G.T @ self._weight(state.q, name.rsplit(".", 1)[0])
+            for weight in self._weights:
+                Y[k, :, weight.column] = state.G.T @ self._hold(state.q, weight)
         joints = range(self.robot.na)
         Y[:, joints, [n_inertial + j for j in joints]] = a
         return Y
@@ -133,10 +133,11 @@ class SamplewiseTree(Mechanism):
         out = np.zeros((*q.shape, 3))
         for k in range(len(q) if self._sliding else 0):
             state = self.solver.state(q[k], v[k], a[k])
-            outside = self._outside_forces(state.q, state.v, state.a)
-            pin.rnea(self.model, self.data, state.q, state.v, state.a, outside)
+            tau = pin.rnea(self.model, self.data, state.q, state.v, state.a) + self._extra(state.q)
+            pin.updateGlobalPlacements(self.model, self.data)
+            pulls = self._loop_forces(state.q, tau)
             for i in self._sliding:
-                out[k, i] = self._across(self.model.getJointId(self.robot.actuated[i]))
+                out[k, i] = self._across(i, pulls)
         return out
 
     def guide_load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
@@ -184,39 +185,25 @@ class SamplewiseTree(Mechanism):
         tool = self.robot.tool_frame
         return carried(tool) if tool is not None else np.zeros(len(ids)), np.array(loops).reshape(-1, len(ids)).T
 
-    def _outside_forces(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> pin.StdVec_Force:
-        """Return the forces of loops and of mass that only gravity feels on every body, in joint frames, without moments.
+    def _loop_forces(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """Return the forces (loops, 3) that hold the passive joints, at a configuration and its tree forces (nv,)."""
+        if not self.robot.loops:
+            return np.zeros((0, 3))
+        passive = self.solver.passive_v
+        jacobian = self._constraints.jacobian(q)[:, passive]
+        return np.linalg.lstsq(jacobian.T, tau[passive], rcond=1e-10)[0].reshape(-1, 3)
 
-        Moments do not pass into the forces between bodies, which is all that is asked for here.
-        """
-        model, data = self.model, self.data
-        forces = np.zeros((model.njoints, 6))
-        tau = pin.rnea(model, data, q, v, a) + self._extra(q)
-        pin.updateGlobalPlacements(model, data)
-        points = [(name.rsplit(".", 1)[0], self.robot.parameters[name].value) for name in self._gravity_only]
-        pushes = [(model.getFrameId(link), mass * model.gravity.linear) for link, mass in points]
-        if self.robot.loops:
-            passive = self.solver.passive_v
-            jacobian = self._constraints.jacobian(q)
-            multipliers = np.linalg.lstsq(jacobian[:, passive].T, tau[passive], rcond=1e-10)[0].reshape(-1, 3)
-            for loop, force in zip(self.robot.loops, multipliers, strict=True):
-                pushes += [(loop.frame_a, force), (loop.frame_b, -force)]
-        for frame, force in pushes:
-            joint = model.frames[frame].parentJoint
-            forces[joint, :3] += data.oMi[joint].rotation.T @ force
-        return pin.StdVec_Force([pin.Force(f) for f in forces])
-
-    def _across(self, joint: int) -> np.ndarray:
-        """Return the force (3,) across a slide's axis that lies beyond its own link, after `rnea` with outside forces."""
-        data, inertia = self.data, self.model.inertias[joint]
-        own = (inertia * data.a_gf[joint]).linear + np.cross(data.v[joint].angular, (inertia * data.v[joint]).linear)
-        for name in self._gravity_only:
-            frame = self.model.frames[self.model.getFrameId(name.rsplit(".", 1)[0])]
-            if frame.parentJoint == joint:
-                own = own - self.robot.parameters[name].value * data.oMi[joint].rotation.T @ self.model.gravity.linear
-        axis = np.asarray(data.joints[joint].S).reshape(6, -1)[:3, 0]
-        beyond = own - data.f[joint].linear
-        return data.oMi[joint].rotation @ (beyond - (beyond @ axis) * axis)
+    def _across(self, i: int, pulls: np.ndarray) -> np.ndarray:
+        """Return the force (3,) across a slide's axis that lies beyond its own link, after `rnea`; loops pull (loops, 3)."""
+        model, data, joint = self.model, self.data, self.model.getJointId(self.robot.actuated[i])
+        beyond = self._carried_by()[1][i] @ pulls
+        for child in (c for c in range(1, model.njoints) if model.parents[c] == joint):
+            beyond = beyond - data.oMi[child].rotation @ data.f[child].linear
+        for weight in self._weights:
+            if weight.joint != joint and joint in model.supports[weight.joint].tolist():
+                beyond = beyond + weight.mass * model.gravity.linear
+        axis = data.oMi[joint].rotation @ np.asarray(data.joints[joint].S).reshape(6, -1)[:3, 0]
+        return beyond - (beyond @ axis) * axis
 
     def _refuse_free_motion(self) -> None:
         """Refuse a mechanism whose passive joints could move by themselves; a rod's spin, which nothing drives, is fine."""
@@ -247,15 +234,13 @@ class SamplewiseTree(Mechanism):
 
     def _extra(self, q: np.ndarray) -> np.ndarray:
         """Return the tree forces of mass that only gravity feels (nv,)."""
-        tau = np.zeros(self.model.nv)
-        for name in self._gravity_only:
-            tau += self.robot.parameters[name].value * self._weight(q, name.rsplit(".", 1)[0])
-        return tau
+        return sum((weight.mass * self._hold(q, weight) for weight in self._weights), np.zeros(self.model.nv))
 
-    def _weight(self, q: np.ndarray, link: str) -> np.ndarray:
-        """Return the tree forces (nv,) that hold 1 kg at a link's origin against gravity."""
-        frame = self.model.getFrameId(link)
-        jacobian = pin.computeFrameJacobian(self.model, self.data, q, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+    def _hold(self, q: np.ndarray, weight: Weight) -> np.ndarray:
+        """Return the tree forces (nv,) that hold 1 kg at a weight's place against gravity."""
+        jacobian = pin.computeFrameJacobian(
+            self.model, self.data, q, weight.frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        )
         return -jacobian[:3].T @ self.model.gravity.linear
 
 
@@ -362,7 +347,7 @@ class TreeMechanism(SamplewiseTree):
         super().__init__(robot)
         joints = list_joints(self.model)
         self.batched = None if joints is None else LoadedTree(robot, self.solver, joints)
-        free = not (robot.loops or self._gravity_only or self._unplaced)
+        free = not (robot.loops or self._weights or self._unplaced)
         self._plain = free and self.model.nq == self.model.nv and hasattr(pin, "rneaInParallel")
 
     def inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
