@@ -49,7 +49,12 @@ from .loop_arrays import (
     compute_actuated_positions_from as compute_actuated_positions_from,
     list_loop_joints as list_loop_joints,
 )
-from .loops import LoopSolver as LoopSolver, TreeState as TreeState, find_passive_pairs as find_passive_pairs
+from .loops import (
+    LoopSolver as LoopSolver,
+    TreeState as TreeState,
+    compute_turning_rates as compute_turning_rates,
+    find_passive_pairs as find_passive_pairs,
+)
 from .mechanism import (
     SINGULAR as SINGULAR,
     Mechanism as Mechanism,

@@ -156,9 +156,12 @@ class SamplewiseTree(Mechanism):
         out = np.zeros((len(q), len(self._pairs), 3, self.robot.na))
         for k in range(len(q) if self._pairs else 0):
             state = self.solver.state(q[k], rest, rest)
-            out[k] = compute_turning_rates(
-                self._pairs, pin.computeJointJacobians(self.model, self.data, state.q)[3:], state.G
-            )
+            jacobian = pin.computeJointJacobians(self.model, self.data, state.q)[3:]
+            for row, pair in zip(out[k], self._pairs, strict=True):
+                if pair.hinge is not None:
+                    row[0] = state.G[pair.hinge]
+                else:
+                    row[:] = (jacobian * pair.weights) @ state.G
         return tuple(pair.name for pair in self._pairs), out
 
     def condition(self, q: np.ndarray) -> np.ndarray:
@@ -270,14 +273,7 @@ class LoadedTree(BatchedTree):
         out = np.zeros((len(pairs), 3, self.robot.na, len(q)))
         for part in iterate_blocks(len(q) if pairs else 0):
             closed = self.loops.close(q[part])
-            turns = {j.v: closed.at.axis[j.index][:, None] * closed.G[j.v] for j in self.joints if not j.slides}
-            for k, pair in enumerate(pairs):
-                if pair.hinge is not None:
-                    out[k, 0, :, part] = closed.G[pair.hinge]
-                    continue
-                for index in np.flatnonzero(pair.weights).tolist():
-                    if index in turns:
-                        out[k, :, :, part] += pair.weights[index] * turns[index]
+            out[:, :, :, part] = compute_turning_rates(pairs, self.joints, closed.at, closed.G)
         return tuple(pair.name for pair in pairs), out.transpose(3, 0, 1, 2)
 
     def condition(self, q: np.ndarray) -> np.ndarray:
