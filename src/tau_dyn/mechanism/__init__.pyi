@@ -28,7 +28,6 @@ from .frames import (
     multiply_by_constant as multiply_by_constant,
     multiply_by_rotation as multiply_by_rotation,
     remove_rounding as remove_rounding,
-    skew as skew,
     transform_point as transform_point,
     yield_columns as yield_columns,
 )
