@@ -125,7 +125,7 @@ class TreeForm(Mechanism):
     def mass_and_bias(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return `M` (na, na), its columns the forces of unit accelerations without weight, and `h` (na,)."""
         n, light = self.robot.na, copy(self)
-        light.tree = self.tree.without_weight()
+        light.tree = self.tree.under(np.zeros(3))
         rest = as_expression_array(np.zeros((1, n)))
         columns = [light.inverse_dynamics(q[None], rest, as_expression_array(unit[None]))[0] for unit in np.eye(n)]
         return as_expression_array(np.array(columns, dtype=object).T), self.inverse_dynamics(q[None], v[None], rest)[0]

@@ -157,10 +157,6 @@ class Tree:
         self.armature = {j: value(f"{j}.armature") for j in robot.actuated}
         self.weights = list_weights(robot, value)
 
-    def without_weight(self) -> Tree:
-        """Return the same tree without gravity."""
-        return self.under(np.zeros(3))
-
     def under(self, gravity: np.ndarray) -> Tree:
         """Return the same tree under another gravity (3,) [m/s^2]."""
         other = copy(self)
