@@ -31,6 +31,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from camera_parts.photographs import Photography, draw_facing_rotation, render, render_clutter
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
@@ -47,7 +48,6 @@ from tau_dyn.vision.cameras import project
 from tau_dyn.vision.detect import _in_order, find_corners
 from tau_dyn.vision.images import Detection
 from tau_dyn.vision.motion import JointLog
-from tau_dyn.vision.pattern import Photography, draw_facing_rotation, render, render_clutter
 from tau_dyn.vision.quarter_turns import TURNS
 from tau_dyn.vision.squares import find_squares
 

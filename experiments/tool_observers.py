@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from ilc_parts.bench import AXES, DT, motion, plant
+from ilc_parts.learning_plant import LearningPlant, Trial
 
 from tau_dyn.control.observers import (
     ComplementaryToolObserver,
@@ -24,7 +25,6 @@ from tau_dyn.control.observers import (
     tune_kalman,
 )
 from tau_dyn.modes import load_state_space
-from tau_dyn.simulate import LearningPlant, Trial
 
 MODEL = Path(__file__).parents[1] / "identification" / "models" / "l1_kinematics_to_tool.yaml"
 THESIS_CUTOFF = (4.50, 2.63)  # Hz, (7.18)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from ilc_parts.learning_plant import LearningPlant, Trial, square_path
 from scipy.signal import max_len_seq
 from thesis_6_3_parts.printed import DRIVE_SAMPLES, DRIVES
 from thesis_6_3_parts.robots import kinematics, with_wrist
@@ -12,7 +13,6 @@ from tau_dyn.control.iterative import Reference
 from tau_dyn.mechanism import L1_DRIVES
 from tau_dyn.modes import Actuator, Record, StateSpace, compress_subspace_data, refine
 from tau_dyn.modes.state_space import simulate
-from tau_dyn.simulate import LearningPlant, Trial, square_path
 
 DT = 0.004  # s
 VELOCITY_SHARE = 0.5  # assumed: (6.11) alone is "too slow" for this motion (thesis 6.3)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from ilc_parts.bench import AXES, DT, Models, printed_actuators
+from ilc_parts.learning_plant import LearningPlant, Trial
 
 from tau_dyn.control.iterative import (
     LearningLaw,
@@ -16,7 +17,6 @@ from tau_dyn.control.iterative import (
     stack_controlled_actuators,
 )
 from tau_dyn.control.observers import ComplementaryToolObserver, tune_kalman
-from tau_dyn.simulate import LearningPlant, Trial
 
 LEARNING = TimeShift(0.9, 5, DT)
 MOTOR_CUTOFF, TOOL_CUTOFF = 10.0, 30.0  # Hz

@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from PIL import Image
 
-from tau_dyn.simulate import ContactRun
+from lead_through_parts.contact import ContactRun
 
 
 def draw(path: Path, runs: dict[str, ContactRun], peg: tuple) -> None:

@@ -6,9 +6,10 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import root_scalar
 
+from lead_through_parts.contact import Hand, ServoArm, run_contact
+from lead_through_parts.contact_work import CompliantSurface
 from lead_through_parts.scene import PLATE, START, UP, robot, settings
 from tau_dyn.control.lead_through import ForceLoop, LeadThrough
-from tau_dyn.simulate import CompliantSurface, Hand, ServoArm, run_contact
 
 THESIS_HZ = 68.0
 CASES = [(69.1, 0, 0.0), (69.1, 1, 0.0), (20.0, 0, 0.0), (20.0, 0, 60.0), (8.0, 3, 0.0)]

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from lead_through_parts.contact import ContactRun, ContactSensors, Hand, ServoArm, run_contact
+from lead_through_parts.contact_work import CompliantSurface, Hole
 from tau_dyn.control.lead_through import ForceLoop, LeadThrough, LeadThroughSettings
 from tau_dyn.robot import Robot, load_robot
-from tau_dyn.simulate import CompliantSurface, ContactRun, ContactSensors, Hand, Hole, ServoArm, run_contact
 
 IRB140 = Path(__file__).with_name("irb140.urdf")
 START = np.array([0, 0.1, 0.2, 0, 1.2, 0])

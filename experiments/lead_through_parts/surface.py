@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from lead_through_parts.contact import ContactRun, ContactSensors
 from lead_through_parts.scene import CARDBOARD, PLATE, SERVO_HZ, settings, track
 from tau_dyn.control.lead_through import ForceLoop
-from tau_dyn.simulate import ContactRun, ContactSensors
 
 GAIN = 0.0128  # 93 % of the plate's limit, 4 % of cardboard's
 HALF = 0.5 * ForceLoop(servo_hz=SERVO_HZ).limit(PLATE).gain

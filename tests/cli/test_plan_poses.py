@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,9 @@ from tau_dyn.cli import main
 from tau_dyn.kinematics.workspace import build_machine
 from tau_dyn.robot import load_robot
 from tau_dyn.vision import Pattern
-from tau_dyn.vision.pattern import render
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
+from camera_parts.photographs import render
 
 CAMERA = """
 camera: {position: [5.5, -0.6, 0.7], look_at: [1.75, -0.6, 0.7], image: [1280, 960], focal: 1400}

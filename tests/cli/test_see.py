@@ -1,6 +1,8 @@
 """The command `see`: photographs in, a table for `calibrate` out, bad input as one sentence."""
 
 import json
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,7 +10,9 @@ import pytest
 from tau_dyn.cli import main
 from tau_dyn.vision import Cameras, Pattern, write_cameras
 from tau_dyn.vision.cameras import INTRINSICS
-from tau_dyn.vision.pattern import draw_facing_rotation, render
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
+from camera_parts.photographs import draw_facing_rotation, render
 
 cv2 = pytest.importorskip("cv2")
 NUMBERS = np.array([620, 620, 319.5, 239.5, -0.1, 0.0, 0, 0, 0.0])

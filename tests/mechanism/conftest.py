@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,6 +24,17 @@ def _example(name: str) -> Path:
     return Path(str(found[0].locate()))
 
 
+def _write_telescope(write: SimpleNamespace) -> str:
+    """Return a slide on a link that turns about an oblique axis, and a wrist behind it."""
+    chain = (("turn", "revolute", "0 0.6 0.8"), ("slide", "prismatic", "1 0 0"), ("wrist", "revolute", "0 1 0"))
+    parts, parent = ["<robot name='telescope'>", write.link("base_link")], "base_link"
+    for k, (name, kind, axis) in enumerate(chain):
+        parts.append(write.link(f"{name}_link", 2.0 + k, "0.1 0.05 -0.1", "0.03 0.04 0.05"))
+        parts.append(write.joint(name, kind, parent, f"{name}_link", axis, "0.2 0.1 0.3") + write.drive(name))
+        parent = f"{name}_link"
+    return "".join(parts) + "</robot>"
+
+
 @pytest.fixture
 def robots(write, measured) -> Callable[[str], Robot]:
     """Return a maker of robots by kind."""
@@ -32,6 +44,8 @@ def robots(write, measured) -> Callable[[str], Robot]:
             return load_robot_from_urdf(getattr(write, kind)(), kind)
         if kind == "turning":
             return load_robot_from_urdf(write.two_link().replace("revolute", "continuous"), kind)
+        if kind == "telescope":
+            return load_robot_from_urdf(_write_telescope(write), kind)
         if kind == "tx40":
             return load_robot(measured("tx40/tx40.urdf"))
         if kind in ("ur5", "panda"):

@@ -10,7 +10,7 @@ from raising import raises_code
 from tau_dyn.mechanism import TreeMechanism, build_mechanism
 from tau_dyn.mechanism.tree import MAX_ONE_BY_ONE, SamplewiseTree
 
-KINDS = ["two_link", "turning", "block", "pendulum", "tx40", "ur5", "panda", "four_bar",
+KINDS = ["two_link", "turning", "telescope", "block", "pendulum", "tx40", "ur5", "panda", "four_bar",
          "l1 simplified uniform", "d1 simplified point", "l1 complete uniform"]  # fmt: skip
 N = 30
 

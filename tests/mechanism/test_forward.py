@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 
 from tau_dyn.mechanism import LoopSolver, Poses, TreePose, build_rods, forward_kinematics
-from tau_dyn.mechanism.sliding_plate import solve_implicit_forward
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import load_robot
 
@@ -60,31 +59,6 @@ def test_a_trajectory_does_not_jump():
     assert found.ok.all()
     steps = np.linalg.norm(np.diff(found.poses.position, axis=0), axis=1)
     assert steps.max() < 4 * np.abs(np.diff(q, axis=0)).max()
-
-
-@pytest.mark.parametrize(
-    ("name", "arguments"), [("gantry_tau", {"arms": "complete"}), ("delta", {}), ("gantry_tau_t2", {})]
-)
-def test_closed_form_of_parallel_rods_equals_newton(name, arguments):
-    """The thesis' implicit kinematics (4.26): with q4 = -q5 rotation and position of the T2 come one after the other."""
-    robot = load_robot(name, **arguments)
-    q = wave(robot, 50, 0.08)
-    if "q4" in robot.actuated:
-        q[:, robot.actuated.index("q5")] = -q[:, robot.actuated.index("q4")]
-    found, closed = forward_kinematics(robot, q), solve_implicit_forward(build_rods(robot), q)
-    assert found.ok.all() and closed.defect.max() < 1e-12
-    assert_allclose(closed.poses.position, found.poses.position, atol=1e-11)
-    assert_allclose(closed.poses.rotation, found.poses.rotation, atol=1e-11)
-
-
-def test_closed_form_says_where_it_is_not_exact():
-    """With q4 and q5 apart the arms' vectors are no rotated plate: the defect shows it, Newton solves it."""
-    robot = load_robot("gantry_tau_t2")
-    q = robot.home.copy()
-    q[robot.actuated.index("q4")] += 0.1
-    closed, found = solve_implicit_forward(build_rods(robot), q), forward_kinematics(robot, q)
-    assert closed.defect[0] > 1e-3 and found.ok[0]
-    assert np.abs(build_rods(robot).gap(q, found.plate)).max() < 1e-13
 
 
 def test_trilateration_has_two_solutions(rng):

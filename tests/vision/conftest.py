@@ -1,5 +1,7 @@
 """A rig of two cameras with real lenses, plates before it, their corners with noise, and rendered photographs."""
 
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +11,9 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.vision import Cameras, Pattern
 from tau_dyn.vision.bundle import Plates, Views
 from tau_dyn.vision.cameras import project
-from tau_dyn.vision.pattern import draw_facing_rotation, render, render_clutter
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
+from camera_parts.photographs import draw_facing_rotation, render, render_clutter
 
 PATTERN = Pattern(9, 6, 0.03)
 SIZE = (640, 480)

@@ -1,12 +1,17 @@
 """Corners in rendered photographs with known truth: how well they are found, and what is refused with which reason."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from tau_dyn.vision import Pattern
 from tau_dyn.vision.cameras import project
 from tau_dyn.vision.detect import _checked, _measure_unevenness, find_corners
-from tau_dyn.vision.pattern import Photography, draw_facing_rotation, render, render_clutter
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
+from camera_parts.photographs import Photography, draw_facing_rotation, render, render_clutter
 
 pytest.importorskip("cv2")
 RNG = np.random.default_rng(11)

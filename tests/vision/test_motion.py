@@ -1,6 +1,8 @@
 """A moving plate: the offset between the clocks of images and joints, its standard error, speeds, and what cannot be told."""
 
 import json
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +13,9 @@ from tau_dyn.calibrate import read_poses
 from tau_dyn.cli import main
 from tau_dyn.vision import Cameras, parse_pattern, read_positions, read_times, write_cameras
 from tau_dyn.vision.motion import JointLog, compute_velocity, estimate_clock_offset
-from tau_dyn.vision.pattern import Photography, draw_facing_rotation, render
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
+from camera_parts.photographs import Photography, draw_facing_rotation, render
 
 STEP = 1 / 200  # [s] of the log
 

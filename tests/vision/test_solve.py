@@ -1,5 +1,7 @@
 """From corners to cameras and plates: what the lens model gains, what images cannot tell, and views that do not belong."""
 
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,8 +10,10 @@ from raising import raises_code
 
 from tau_dyn.vision import solve
 from tau_dyn.vision.bundle import Plates, Views
-from tau_dyn.vision.pattern import draw_facing_rotation
 from tau_dyn.vision.solution import _noise
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
+from camera_parts.photographs import draw_facing_rotation
 
 
 def test_a_distorted_lens_is_recovered(rig):

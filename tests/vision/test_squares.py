@@ -1,6 +1,8 @@
 """Five black squares in rendered photographs with known truth: found to hundredths of a pixel, or refused with the reason."""
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,8 +11,10 @@ from tau_dyn.vision import Pattern, parse_pattern
 from tau_dyn.vision.album import read_album
 from tau_dyn.vision.cameras import project
 from tau_dyn.vision.corner_fit import _model, fit_corners
-from tau_dyn.vision.pattern import Photography, draw_facing_rotation, render, render_clutter
 from tau_dyn.vision.squares import find_squares
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
+from camera_parts.photographs import Photography, draw_facing_rotation, render, render_clutter
 
 cv2 = pytest.importorskip("cv2")
 FIVE = parse_pattern("five-squares", 0.06)

@@ -9,9 +9,10 @@ Reference: Khalil & Dombre 2002, ch. 11; Hollerbach, Khalil & Gautier 2016.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -55,97 +56,43 @@ class Closure(NamedTuple):
     by_joint: np.ndarray
 
 
-class Geometry(Protocol):
-    """A mechanism whose dimensions are parameters."""
+class Geometry(Brief, ABC):
+    """A mechanism whose dimensions are parameters.
 
-    @property
-    def parameters(self) -> Parameters:
-        """Nominal values; units m, rad, 1. Parameters that are not `free` stay at their value."""
-        ...
+    Most have no closure of their own (a tree's loops involve passive joints, which nobody measures), and nothing that a robot
+    file or a compensation file could hold; that is what is answered here.
 
-    @property
-    def actuated(self) -> tuple[str, ...]:
-        """Actuated joints, in the order of `q`."""
-        ...
-
-    @property
-    def position_units(self) -> tuple[str, ...]:
-        """Units of `q`: `m` of a slide, `rad` of a turn."""
-        ...
-
-    @property
-    def orients(self) -> bool:
-        """Whether the tool's orientation is predicted (False: a plate that only translates)."""
-        ...
-
-    @property
-    def priority(self) -> np.ndarray:
-        """Whole numbers (p,): where parameters depend on each other, those with smaller ones are kept."""
-        ...
-
-    def forward(self, theta: np.ndarray, q: np.ndarray, start: Poses | None = None) -> Predicted:
-        """Return tool poses at `q` (N, na), found from `start` where one is given."""
-        ...
-
-    def tool_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray:
-        """Return the tool's twist per parameter (N, 6, p), loops kept closed."""
-        ...
-
-    def tool_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray:
-        """Return the tool's twist per actuated joint (N, 6, na), loops kept closed."""
-        ...
-
-    def passive(self, theta: np.ndarray, q: np.ndarray, joints: Sequence[str]) -> np.ndarray:
-        """Return the positions (N, k) of passive joints that close the loops, nan where they cannot be closed."""
-        ...
-
-    def passive_by_parameter(self, theta: np.ndarray, q: np.ndarray, joints: Sequence[str]) -> np.ndarray:
-        """Return how passive joints move per parameter (N, k, p), loops kept closed."""
-        ...
-
-    def passive_by_joint(self, theta: np.ndarray, q: np.ndarray, joints: Sequence[str]) -> np.ndarray:
-        """Return how passive joints move per actuated joint (N, k, na), loops kept closed."""
-        ...
-
-    def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> Closure | None:
-        """Return how far tool poses (N) leave the loops open (thesis (5.1)), None where the mechanism has no such residual."""
-        ...
-
-    @property
-    def beyond_file(self) -> str:
-        """What of it no robot file can hold, '' where one can hold everything."""
-        ...
-
-    @property
-    def description(self) -> dict[str, Any] | None:
-        """How a compensation file describes it (`build_described_geometry`), None where it cannot."""
-        ...
-
-    def rods_at(self, theta: np.ndarray) -> Rods | None:
-        """Return the rods with these dimensions, without the laws, for kinematics; None of a robot without rods."""
-        ...
-
-    def format_urdf(self, theta: np.ndarray) -> str:
-        """Return the robot file with these dimensions."""
-        ...
-
-    def list_turned_joints(self, theta: np.ndarray) -> list[tuple[str, np.ndarray]]:
-        """Return joints whose frame's orientation is a parameter, with that orientation (3, 3) in the parent's frame."""
-        ...
-
-
-class GeometryDefaults(Brief):
-    """What most geometries answer: no closure of their own, and nothing that a robot file or a compensation file could hold.
-
-    A tree's loops involve passive joints, which nobody measures, so that it has no closure residual.
+    Attributes:
+        parameters: Nominal values; units m, rad, 1. Parameters that are not `free` stay at their value.
+        priority: Whole numbers (p,): where parameters depend on each other, those with smaller ones are kept.
+        beyond_file: What of it no robot file can hold, '' where one can hold everything.
     """
 
-    beyond_file = "laws of its joints"
+    parameters: Parameters
+    priority: np.ndarray
+    beyond_file: str = "laws of its joints"
 
     @property
+    @abstractmethod
     def robot(self) -> Robot:
         """The robot file."""
-        raise NotImplementedError
+
+    @property
+    @abstractmethod
+    def orients(self) -> bool:
+        """Whether the tool's orientation is predicted (False: a plate that only translates)."""
+
+    @abstractmethod
+    def forward(self, theta: np.ndarray, q: np.ndarray, start: Poses | None = None) -> Predicted:
+        """Return tool poses at `q` (N, na), found from `start` where one is given."""
+
+    @abstractmethod
+    def tool_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray:
+        """Return the tool's twist per parameter (N, 6, p), loops kept closed."""
+
+    @abstractmethod
+    def tool_by_joint(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray:
+        """Return the tool's twist per actuated joint (N, 6, na), loops kept closed."""
 
     @property
     def actuated(self) -> tuple[str, ...]:
@@ -154,41 +101,55 @@ class GeometryDefaults(Brief):
 
     @property
     def position_units(self) -> tuple[str, ...]:
-        """Units of `q`."""
+        """Units of `q`: `m` of a slide, `rad` of a turn."""
         return self.robot.position_units
 
     def passive(self, theta: np.ndarray, q: np.ndarray, joints: Sequence[str]) -> np.ndarray:
-        """Refuse."""
+        """Return the positions (N, k) of passive joints that close the loops, nan where they cannot be closed.
+
+        Raises:
+            InputError: The robot is no tree with loops.
+        """
         raise InputError(
             "unsupported", f"{', '.join(joints)}: encoders of passive joints need a robot as a tree with loops"
         )
 
-    passive_by_parameter = passive_by_joint = passive
+    def passive_by_parameter(self, theta: np.ndarray, q: np.ndarray, joints: Sequence[str]) -> np.ndarray:
+        """Return how passive joints move per parameter (N, k, p), loops kept closed; see `passive`."""
+        return self.passive(theta, q, joints)
+
+    def passive_by_joint(self, theta: np.ndarray, q: np.ndarray, joints: Sequence[str]) -> np.ndarray:
+        """Return how passive joints move per actuated joint (N, k, na), loops kept closed; see `passive`."""
+        return self.passive(theta, q, joints)
 
     def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> Closure | None:
-        """Return None; use forward residuals."""
+        """Return how far tool poses (N) leave the loops open (thesis (5.1)), None where the mechanism has no such residual."""
         return None
 
     @property
     def description(self) -> dict[str, Any] | None:
-        """None: a file cannot describe it."""
+        """How a compensation file describes it (`build_described_geometry`), None where it cannot."""
         return None
 
     def rods_at(self, theta: np.ndarray) -> Rods | None:
-        """Return None: it has no rods."""
+        """Return the rods with these dimensions, without the laws, for kinematics; None of a robot without rods."""
         return None
 
     def format_urdf(self, theta: np.ndarray) -> str:
-        """Refuse."""
+        """Return the robot file with these dimensions.
+
+        Raises:
+            InputError: A robot file cannot hold them.
+        """
         raise InputError("unsupported", f"a robot file cannot hold {self.beyond_file}")
 
     def list_turned_joints(self, theta: np.ndarray) -> list[tuple[str, np.ndarray]]:
-        """Return none."""
+        """Return joints whose frame's orientation is a parameter, with that orientation (3, 3) in the parent's frame."""
         return []
 
 
 @dataclass(frozen=True, eq=False)
-class ConstrainedGeometry(GeometryDefaults):
+class ConstrainedGeometry(Geometry):
     """A geometry with fewer parameters: several of the original ones move together, or not at all.
 
     `theta = theta_0 + Z (y - y_0)`: equal rods, parallel guideways and other simplifications are such ties.
@@ -206,14 +167,9 @@ class ConstrainedGeometry(GeometryDefaults):
     priority: np.ndarray
 
     @property
-    def actuated(self) -> tuple[str, ...]:
-        """Actuated joints."""
-        return self.geometry.actuated
-
-    @property
-    def position_units(self) -> tuple[str, ...]:
-        """Units of `q`."""
-        return self.geometry.position_units
+    def robot(self) -> Robot:
+        """The robot file."""
+        return self.geometry.robot
 
     @property
     def orients(self) -> bool:

@@ -27,7 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tau_dyn.calibrate.geometry import KNOWN_BEFOREHAND, GeometryDefaults, Predicted
+from tau_dyn.calibrate.geometry import KNOWN_BEFOREHAND, Geometry, Predicted
 from tau_dyn.calibrate.joint_laws import Displaced, Law, displace
 from tau_dyn.calibrate.tree_geometry import TreeGeometry
 from tau_dyn.mechanism import Poses, Rods, compute_frames, forward_kinematics, transform_point
@@ -237,7 +237,7 @@ class _PlacedArm(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class ArmGeometry(GeometryDefaults):
+class ArmGeometry(Geometry):
     """A tree whose joints follow laws beside their encoders; see `geometry.Geometry` for what each method returns.
 
     Attributes:

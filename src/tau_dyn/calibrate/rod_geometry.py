@@ -15,9 +15,10 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.geometry import Closure, GeometryDefaults, Predicted
+from tau_dyn.calibrate.geometry import Closure, Geometry, Predicted
 from tau_dyn.calibrate.joint_laws import Displaced, Law, displace
 from tau_dyn.calibrate.robot_file import format_corrected_rods
 from tau_dyn.mechanism import (
@@ -32,7 +33,6 @@ from tau_dyn.mechanism import (
     forward_kinematics,
     list_path,
     set_dimensions,
-    skew,
 )
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
@@ -41,15 +41,6 @@ TURN = "turn"
 _STEPS = 12  # Newton steps to a pose
 _AT_REST = 1e-9  # [m or rad]: after a step this small the next one, a quadratic one, would be rounding
 _CLOSED = 1e-9  # [m]
-
-
-def right_jacobian(t: np.ndarray) -> np.ndarray:
-    """Return `J_r(t)` (3, 3): `Exp(t + dt) = Exp(t) Exp(J_r dt)` (Chirikjian 2012)."""
-    angle = float(np.linalg.norm(t))
-    k = skew(t)
-    if angle < 1e-6:
-        return np.eye(3) - 0.5 * k + k @ k / 6
-    return np.eye(3) - (1 - np.cos(angle)) / angle**2 * k + (angle - np.sin(angle)) / angle**3 * (k @ k)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +67,7 @@ class _PlacedRods(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class RodGeometry(GeometryDefaults):
+class RodGeometry(Geometry):
     """A parallel robot with free dimensions.
 
     Attributes:
@@ -170,7 +161,7 @@ class RodGeometry(GeometryDefaults):
     @property
     def beyond_file(self) -> str:  # type: ignore[override]
         """Laws of drives and guideways."""
-        return GeometryDefaults.beyond_file if self.laws else ""
+        return Geometry.beyond_file if self.laws else ""
 
     def format_urdf(self, theta: np.ndarray) -> str:
         """Return the robot file with these dimensions."""
@@ -262,7 +253,8 @@ class RodGeometry(GeometryDefaults):
     def _write_turns(self, out: np.ndarray, at: _PlacedRods, unit: np.ndarray) -> None:
         r"""Write, rod by rod on each turning joint, the gap's derivative by its `turn` in the place of its axis.
 
-        The frame is `S = R_parent R_0 Exp(t)`; a change of `t` turns all behind it by `S J_r(t) dt` about the joint's origin.
+        The frame is `S = R_parent R_0 Exp(t)`; a change of `t` turns all behind it by `S J_r(t) dt` about the joint's origin,
+        with the right Jacobian `J_r` of the rotation group (Chirikjian 2012).
         """
         if not self._turning:
             return
@@ -274,7 +266,7 @@ class RodGeometry(GeometryDefaults):
             parent = frames[joint.parent].rotation if joint.parent >= 0 else np.eye(3)[:, :, None]
             frame = np.einsum("ijn,jk->ikn", parent, numbers.joints[place].rotation)
             first = self.parameters.names.index(f"{joint.name}.{TURN}_x")
-            back = right_jacobian(at.theta[first : first + 3])
+            back = np.asarray(pin.Jexp3(at.theta[first : first + 3]))
             for k, carrier in enumerate(numbers.carried.carrier):
                 if place in list_path(numbers.joints, carrier):
                     arm = places[k] - frames[place].origin

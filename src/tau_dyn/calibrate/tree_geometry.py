@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.calibrate.geometry import GeometryDefaults, Predicted
+from tau_dyn.calibrate.geometry import Geometry, Predicted
 from tau_dyn.calibrate.robot_file import format_corrected_tree
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.mechanism import (
@@ -32,7 +32,7 @@ from tau_dyn.robot import Robot
 
 
 @dataclass(frozen=True, eq=False)
-class TreeGeometry(GeometryDefaults):
+class TreeGeometry(Geometry):
     """A tree, with or without loops, whose placements are parameters; build it with `build_tree_geometry`.
 
     Attributes:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -18,12 +18,12 @@ from tau_dyn.codegen.loops import Loops, Tree, trace_frames
 from tau_dyn.codegen.tracing import ExpressionArray, as_expression_array, build_inputs
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import (
-    Frames,
     GantryTauMechanism,
     Mechanism,
     Rods,
     TreePose,
     compute_perpendicular_axes,
+    compute_turning_rates,
     find_passive_pairs,
     forward_kinematics,
     get_robot,
@@ -108,6 +108,7 @@ class TreeForm(Mechanism):
         return out
 
     def _forces(self, q: Any, v: Any, a: Any) -> tuple[list[Any], list[np.ndarray]]:
+        """Return the drives' forces without their inertia (na,), and what lies beyond each drive's link, in its axes (3,)."""
         tau, beyond = self.tree.forces(self.place(q[0]), self._spread(v[0]), self._spread(a[0]))
         felt = [tau[k] for k in self.order]
         for joint, mimic in self.robot.mimics.items():
@@ -124,7 +125,7 @@ class TreeForm(Mechanism):
     def mass_and_bias(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return `M` (na, na), its columns the forces of unit accelerations without weight, and `h` (na,)."""
         n, light = self.robot.na, copy(self)
-        light.tree = self.tree.without_weight()
+        light.tree = self.tree.under(np.zeros(3))
         rest = as_expression_array(np.zeros((1, n)))
         columns = [light.inverse_dynamics(q[None], rest, as_expression_array(unit[None]))[0] for unit in np.eye(n)]
         return as_expression_array(np.array(columns, dtype=object).T), self.inverse_dynamics(q[None], v[None], rest)[0]
@@ -142,17 +143,17 @@ class TreeForm(Mechanism):
         return as_expression_array(engine.place_of(trace_frames(engine.joints, self.place(q[0]))).T)
 
     def guide_load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Return what each guide or reducer carries (1, na); see `Mechanism.guide_load`."""
-        tau, beyond = self._forces(q, v, a)
+        """Return what each guide or reducer carries (1, na), loops included; see `Mechanism.guide_load`."""
+        felt, beyond = self._forces(q, v, a)
         load = []
         for k, place in enumerate(self.order):
             joint = self.tree.joints[place]
             across = beyond[k] - joint.axis * (joint.axis @ beyond[k])
-            load.append(np.sqrt(as_expression_array([across @ across]))[0] if joint.slides else abs(tau[k]))
+            load.append(np.sqrt(as_expression_array([across @ across]))[0] if joint.slides else abs(felt[k]))
         return as_expression_array([load])
 
     def reducer_torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Return what each drive's reducer transmits (1, na); see `Mechanism.reducer_torque`."""
+        """Return what each drive's reducer transmits (1, na), loops included; see `Mechanism.reducer_torque`."""
         return as_expression_array([self._forces(q, v, a)[0]])
 
     def passive_rates(self, q: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
@@ -178,40 +179,20 @@ class LoopForm(TreeForm):
         """Return one position a joint, of the drives' (na,) and the passive joints' own."""
         return self.loops.full(q, self.passive)
 
-    def inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Return the forces (1, na) of one sample: the passive joints' motion, the tree's forces, virtual work."""
-        driven = [self.tree.armature[n] * x for n, x in zip(self.robot.actuated, a[0], strict=True)]
-        return as_expression_array((self._close(q, v, a).felt + np.array(driven, dtype=object))[None])
-
-    def _close(self, q: Any, v: Any, a: Any) -> _ClosedTree:
-        loops, graph = self.loops, self.graph
-        place, at = self.place(q[0]), loops.frames(q[0], self.passive)
+    def _forces(self, q: Any, v: Any, a: Any) -> tuple[list[Any], list[np.ndarray]]:
+        """Return what a tree's form does: the passive joints' motion, the open tree's forces, virtual work."""
+        loops, graph, at = self.loops, self.graph, self.loops.frames(q[0], self.passive)
         J = loops.closure(at)[1][loops.rows]
         J_a, factor = J[:, loops.active], graph.factored(J[:, loops.passive])
         speeds = loops.rates(v[0], graph.solved(factor, -(J_a @ v[0])))
         drift = loops.drift(at, speeds)[loops.rows]
         change = loops.rates(a[0], graph.solved(factor, -(J_a @ a[0] + drift)))
-        tau, beyond = self.tree.forces(place, speeds, change)
+        tau, beyond = self.tree.forces(self.place(q[0]), speeds, change)
         held = np.array(graph.solved(factor, [tau[k] for k in loops.passive], transposed=True), dtype=object)
         felt = np.array([tau[k] for k in loops.active], dtype=object) - J_a.T @ held
-        return _ClosedTree(at, felt, beyond, held)
-
-    def guide_load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Return what each guide or reducer carries (1, na), loops included; see `Mechanism.guide_load`."""
-        closed, load = self._close(q, v, a), []
-        for k, place in enumerate(self.order):
-            joint = self.tree.joints[place]
-            pull = self.loops.carried_force(closed.held, joint.index)
-            turned = closed.at.rotation[joint.index][:, :, 0].T @ pull
-            beyond = np.asarray(closed.beyond[place] + turned, dtype=object)
-            across = beyond - joint.axis * (joint.axis @ beyond)
-            size = np.sqrt(as_expression_array([across @ across]))[0]
-            load.append(size if joint.slides else abs(closed.felt[k]))
-        return as_expression_array([load])
-
-    def reducer_torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Return what each drive's reducer transmits (1, na), loops included; see `Mechanism.reducer_torque`."""
-        return as_expression_array([self._close(q, v, a).felt])
+        pulls = [loops.carried_force(held, self.tree.joints[k].index) for k in self.order]
+        turned = [at.rotation[self.tree.joints[k].index][:, :, 0].T @ x for k, x in zip(self.order, pulls, strict=True)]
+        return list(felt), [np.asarray(beyond[k] + x, dtype=object) for k, x in zip(self.order, turned, strict=True)]
 
     def passive_rates(self, q: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
         """Return how fast passive bearings turn per actuated speed (1, n, 3, na); see `Mechanism.passive_rates`."""
@@ -223,24 +204,8 @@ class LoopForm(TreeForm):
             [loops.rates(list(unit), graph.solved(factor, list(-(J_a @ unit)))) for unit in np.eye(n)], dtype=object
         ).T
         pairs = find_passive_pairs(self.robot, self.robot.model)
-        out = np.zeros((1, len(pairs), 3, n), dtype=object)
-        for k, pair in enumerate(pairs):
-            if pair.hinge is not None:
-                out[0, k, 0] = G[pair.hinge]
-                continue
-            for joint in self.tree.joints:
-                if pair.weights[joint.v] and not joint.slides:
-                    out[0, k] = out[0, k] + np.outer(at.axis[joint.index][:, 0] * pair.weights[joint.v], G[joint.v])
-        return tuple(pair.name for pair in pairs), as_expression_array(out)
-
-
-class _ClosedTree(NamedTuple):
-    """A tree with its loops closed, in motion: frames, drives' forces without their inertia (na,), children's forces, loops'."""
-
-    at: Frames
-    felt: np.ndarray
-    beyond: list[np.ndarray]
-    held: np.ndarray
+        rates = compute_turning_rates(pairs, self.tree.joints, at, as_expression_array(G)[:, :, None])
+        return tuple(pair.name for pair in pairs), as_expression_array(np.moveaxis(rates, -1, 0))
 
 
 @dataclass(frozen=True, eq=False)

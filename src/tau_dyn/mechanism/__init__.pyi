@@ -28,7 +28,6 @@ from .frames import (
     multiply_by_constant as multiply_by_constant,
     multiply_by_rotation as multiply_by_rotation,
     remove_rounding as remove_rounding,
-    skew as skew,
     transform_point as transform_point,
     yield_columns as yield_columns,
 )
@@ -49,7 +48,12 @@ from .loop_arrays import (
     compute_actuated_positions_from as compute_actuated_positions_from,
     list_loop_joints as list_loop_joints,
 )
-from .loops import LoopSolver as LoopSolver, TreeState as TreeState, find_passive_pairs as find_passive_pairs
+from .loops import (
+    LoopSolver as LoopSolver,
+    TreeState as TreeState,
+    compute_turning_rates as compute_turning_rates,
+    find_passive_pairs as find_passive_pairs,
+)
 from .mechanism import (
     SINGULAR as SINGULAR,
     Mechanism as Mechanism,
@@ -64,6 +68,11 @@ from .mechanism import (
     inverse_kinematics as inverse_kinematics,
     jacobian as jacobian,
     solve_all_configurations as solve_all_configurations,
+)
+from .newton_euler import (
+    compute_tree_forces as compute_tree_forces,
+    list_inertial_numbers as list_inertial_numbers,
+    list_weights as list_weights,
 )
 from .plate_on_legs import PlateOnLegs as PlateOnLegs, Rods as Rods, build_rods as build_rods
 from .poses import (

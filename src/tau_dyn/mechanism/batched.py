@@ -7,8 +7,9 @@ form of virtual work then needs neither forces between bodies nor the tree's joi
     F = m a + S h,   T = h x a + I dw + w x I w,   S = [dw]x + [w]x [w]x,
 
 with `a` the origin's acceleration minus gravity, `h` the first moment and `I` about the origin, all in the body's axes. `F` and
-`T` are linear in the ten inertial numbers, which gives the regressor. Reference: Khalil & Dombre 2002, ch. 9 and 10; Kane &
-Levinson 1985. `samplewise.py` has the same through Pinocchio, one sample at a time, and the tests compare the two.
+`T` are linear in the ten inertial numbers, which gives the regressor and the mass matrix. The forces alone are those of the
+open tree, `tau_a = G' tau` (`newton_euler.py`). Reference: Khalil & Dombre 2002, ch. 9 and 10; Kane & Levinson 1985. `tree.py`
+has the same through Pinocchio, one sample at a time, and the tests compare the two.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from tau_dyn.mechanism.frames import (
 from tau_dyn.mechanism.loop_arrays import ClosedLoops, LoopArrays, get_cells
 from tau_dyn.mechanism.loops import LoopSolver
 from tau_dyn.mechanism.mechanism import require_tool_frame
+from tau_dyn.mechanism.newton_euler import TreeForces, Weight, compute_tree_forces, list_inertial_numbers, list_weights
 from tau_dyn.robot import Robot, compute_inertia_matrix
 
 
@@ -78,21 +80,6 @@ def compute_body_columns(body: BodyMotion, wanted: list[int]) -> list[np.ndarray
     if S is not None and A is not None and set(wanted) & set(range(4, 10)):
         out[4:] = _inertia_columns(body, S, A)
     return out
-
-
-def compute_body_wrench(body: BodyMotion, pi: np.ndarray) -> tuple[Vector, Vector]:
-    """Return the force and the moment (3, N) about its origin that move a body of ten inertial numbers, in its axes."""
-    m, h, a = pi[0], pi[1:4, None], body.acceleration
-    force: Vector = None if a is None else m * a
-    moment: Vector = None if a is None or not h.any() else compute_cross_product(np.broadcast_to(h, a.shape), a)
-    S = _spin_matrix(body)
-    if S is None:
-        return force, moment
-    force = add_vectors(force, np.stack([row[0] * pi[1] + row[1] * pi[2] + row[2] * pi[3] for row in S]))
-    inertia = compute_inertia_matrix(pi)
-    w, dw = body.turning, body.spinning_up
-    spin = None if dw is None else inertia @ dw
-    return force, add_vectors(moment, add_vectors(spin, None if w is None else compute_cross_product(w, inertia @ w)))
 
 
 def compute_momentum(linear: np.ndarray, angular: Vector, pi: np.ndarray) -> tuple[np.ndarray, Vector]:
@@ -150,15 +137,6 @@ class Partial(NamedTuple):
     angular: Vector
 
 
-class Weight(NamedTuple):
-    """A mass that only gravity feels: its column among the parameters, joint, place in that joint's frame, and value [kg]."""
-
-    column: int
-    joint: int
-    local: np.ndarray
-    mass: float
-
-
 class BatchedTree:
     """Dynamics of one robot for arrays of samples; see `Mechanism` for what each method returns."""
 
@@ -167,17 +145,13 @@ class BatchedTree:
         self.robot, self.solver, self.joints = robot, solver, joints
         self.loops = LoopArrays(solver, joints, get_cells(robot))
         self.gravity = np.asarray(solver.model.gravity.linear, float)
-        names = robot.parameters.names
         first = np.cumsum([0, *(len(link.own) for link in robot.links)])
         self._links = [(link, link.map, int(k)) for link, k in zip(robot.links, first, strict=False)]
         self._armature = int(first[-1])
-        self.pi = {link.joint_id: link.map @ robot.parameters.select(link.names).values for link in robot.links}
+        value = dict(zip(robot.parameters.names, robot.parameters.values, strict=True)).__getitem__
+        self.pi = list_inertial_numbers(robot, value)
         self.drive = robot.parameters.values[self._armature : self._armature + robot.na]
-        self.weights: list[Weight] = []
-        for name in (name for name in names if name.endswith(".gravity_mass")):
-            frame = solver.model.frames[solver.model.getFrameId(name.rsplit(".", 1)[0])]
-            at, mass = frame.placement.translation.copy(), robot.parameters[name].value
-            self.weights.append(Weight(names.index(name), int(frame.parentJoint), at, mass))
+        self.weights = list_weights(robot, value)
 
     def regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return `Y` (N, na, p), laid out in memory as (na, p, N)."""
@@ -192,13 +166,8 @@ class BatchedTree:
         """Return actuated forces (N, na)."""
         tau = (self.drive * a).T.copy()
         for part in iterate_blocks(len(q)):
-            closed, moving, partials = self._moving(q[part], v[part], a[part])
-            for link, _, _ in self._links:
-                body = self._body(closed, moving, partials[link.joint_id], link.joint_id)
-                tau[body.movers, part] += body.power(*compute_body_wrench(body, self.pi[link.joint_id]))
-            for weight in self.weights:
-                partial = partials[weight.joint]
-                tau[partial.movers, part] += weight.mass * self._held(closed, partial, weight)
+            closed, tree = self.open_tree(q[part], v[part], a[part])
+            tau[:, part] += np.einsum("van,vn->an", closed.G, tree.tau)
         return tau.T
 
     def inertia(self, q: np.ndarray) -> np.ndarray:
@@ -234,19 +203,22 @@ class BatchedTree:
             J[:, partial.movers, part] = self._velocity(closed, partial, frame.parentJoint, place[:, part])
         return place.T, J.transpose(2, 0, 1)
 
-    def moving(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[ClosedLoops, FrameMotion]:
-        """Return closed configurations and their motion, accelerations minus gravity, for at most one block of samples."""
+    def open_tree(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[ClosedLoops, TreeForces]:
+        """Return closed configurations, and the forces of the tree with its loops cut, for at most one block of samples."""
+        closed, speeds, changes = self._moving(q, v, a)
+        state = closed.x, speeds, changes
+        return closed, compute_tree_forces(self.joints, state, self.pi, self.weights, self.gravity)
+
+    def _moving(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[ClosedLoops, np.ndarray, np.ndarray]:
+        """Return closed configurations with the velocities and accelerations of all joints (nv, N)."""
         closed = self.loops.close(q)
         speeds = np.einsum("van,na->vn", closed.G, v)
-        accelerations = self.loops.accelerations(closed, speeds, a.T)
-        return closed, compute_motion(self.joints, closed.at, speeds, accelerations, -self.gravity)
-
-    def _moving(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[ClosedLoops, FrameMotion, list[Partial]]:
-        closed, moving = self.moving(q, v, a)
-        return closed, moving, self._partials(closed)
+        return closed, speeds, self.loops.accelerations(closed, speeds, a.T)
 
     def _fill(self, Y: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
-        closed, moving, partials = self._moving(q, v, a)
+        closed, speeds, changes = self._moving(q, v, a)
+        moving = compute_motion(self.joints, closed.at, speeds, changes, -self.gravity)
+        partials = self._partials(closed)
         for link, map_, first in self._links:
             body = self._body(closed, moving, partials[link.joint_id], link.joint_id)
             basis = compute_body_columns(body, np.flatnonzero(map_.any(axis=1)).tolist())

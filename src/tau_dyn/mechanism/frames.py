@@ -105,7 +105,7 @@ def compute_frames(joints: list[Joint], x: np.ndarray) -> Frames:
     for joint in joints:
         parent = rotation[joint.parent]
         base = multiply_by_rotation(parent, joint.rotation)
-        here = base if joint.slides else _turned(base, joint, x[joint.v])
+        here = base if joint.slides else turn_frames(base, joint, x[joint.v])
         along = here[:, joint.along] if joint.along is not None else combine_rotated(here, joint.axis)
         place = origin[joint.parent]
         if joint.offset.any():
@@ -199,8 +199,12 @@ def add_vectors(a: Vector, b: Vector) -> Vector:
 
 
 def rotate_into_frame(rotation: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Return world vectors (3, ..., N) in a frame of rotation (3, 3, N)."""
-    out = np.empty_like(vector)
+    """Return world vectors (3, ..., N) in a frame of rotation (3, 3, N), or each of one sample."""
+    if rotation.dtype == object or rotation.shape[-1] > vector.shape[-1]:
+        shape = np.broadcast_shapes(rotation.shape[1:], vector.shape)
+        out = np.empty_like(rotation if rotation.dtype == object else vector, shape=shape, order="C")
+    else:
+        out = np.empty_like(vector)
     for k in range(3):
         np.multiply(rotation[0, k], vector[0], out=out[k])
         out[k] += rotation[1, k] * vector[1]
@@ -226,12 +230,12 @@ def multiply_by_rotation(rotation: np.ndarray, constant: np.ndarray) -> np.ndarr
     return np.stack([combine_rotated(rotation, column) for column in constant.T], axis=1)
 
 
-def _turned(base: np.ndarray, joint: Joint, angle: np.ndarray) -> np.ndarray:
-    """Return a joint's frame (3, 3, N) turned by an angle (N,)."""
+def turn_frames(base: np.ndarray, joint: Joint, angle: np.ndarray) -> np.ndarray:
+    """Return a joint's frames (3, 3, N) turned about its axis by angles (N,) [rad]."""
     if joint.along is None:
         third = complete_axis(joint.axis)
         about_z = joint._replace(along=2)
-        return multiply_by_rotation(_turned(multiply_by_rotation(base, third), about_z, angle), third.T)
+        return multiply_by_rotation(turn_frames(multiply_by_rotation(base, third), about_z, angle), third.T)
     c, s, k = np.cos(angle), np.sin(angle), joint.along
     one, two = _AHEAD[k], _BEHIND[k]
     out = np.empty_like(angle, shape=base.shape)

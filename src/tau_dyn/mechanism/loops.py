@@ -27,6 +27,7 @@ import numpy as np
 import pinocchio as pin
 
 from tau_dyn.exceptions import LoopClosureError
+from tau_dyn.mechanism.frames import Frames, Joint
 from tau_dyn.mechanism.small_systems import invert_matrix, measure_column_lengths
 from tau_dyn.robot import Loop, Robot
 
@@ -301,20 +302,26 @@ def find_passive_pairs(robot: Robot, model: pin.Model) -> tuple[BearingPair, ...
     return tuple(pairs)
 
 
-def compute_turning_rates(pairs: tuple[BearingPair, ...], jacobian: np.ndarray, G: np.ndarray) -> np.ndarray:
-    """Return angular velocities per actuated speed (n, 3, na).
+def compute_turning_rates(
+    pairs: Sequence[BearingPair], joints: Sequence[Joint], at: Frames, G: np.ndarray
+) -> np.ndarray:
+    """Return angular velocities per actuated speed (n, 3, na, N).
 
     Args:
         pairs: The bearings.
-        jacobian: The tree's angular Jacobian in world axes (3, nv), each joint's own share.
-        G: Tree velocity per actuated speed (nv, na).
+        joints: The tree.
+        at: Where its joints are.
+        G: Tree velocity per actuated speed (nv, na, N).
     """
-    out = np.zeros((len(pairs), 3, G.shape[1]))
+    out = np.zeros_like(G, shape=(len(pairs), 3, *G.shape[1:]))
+    turning = [joint for joint in joints if not joint.slides]
     for k, pair in enumerate(pairs):
         if pair.hinge is not None:
             out[k, 0] = G[pair.hinge]
-        else:
-            out[k] = (jacobian * pair.weights) @ G
+            continue
+        for joint in turning:
+            if pair.weights[joint.v]:
+                out[k] += pair.weights[joint.v] * at.axis[joint.index][:, None] * G[joint.v]
     return out
 
 

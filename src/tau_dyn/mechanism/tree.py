@@ -12,27 +12,18 @@ Forces inside come from the same virtual work: no drive holds the passive joints
 from __future__ import annotations
 
 from functools import wraps
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.mechanism.batched import BatchedTree, Partial, compute_body_wrench, iterate_blocks
-from tau_dyn.mechanism.frames import (
-    FrameMotion,
-    Joint,
-    Vector,
-    add_vectors,
-    compute_cross_product,
-    list_joints,
-    rotate_into_frame,
-    transform_point,
-)
+from tau_dyn.mechanism.batched import BatchedTree, iterate_blocks
+from tau_dyn.mechanism.frames import Joint, add_vectors, list_joints, rotate_into_frame
 from tau_dyn.mechanism.gantry_tau import GantryTauMechanism
-from tau_dyn.mechanism.loop_arrays import ClosedLoops
 from tau_dyn.mechanism.loops import Constraints, LoopSolver, compute_turning_rates, find_passive_pairs
 from tau_dyn.mechanism.mechanism import Mechanism, require_tool_frame
+from tau_dyn.mechanism.newton_euler import Weight, list_weights
 from tau_dyn.mechanism.small_systems import measure_column_lengths
 from tau_dyn.robot import Robot
 
@@ -57,21 +48,20 @@ class SamplewiseTree(Mechanism):
         self._sliding = [k for k, kind in enumerate(robot.joint_kinds) if kind == "prismatic"]
         if robot.loops:
             self._refuse_free_motion()
-        self._gravity_only = [p.name for p in robot.parameters if p.name.endswith(".gravity_mass")]
+        self._weights = list_weights(robot, lambda name: robot.parameters[name].value)
 
     def regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return `Y` (N, na, p); see `Mechanism.regressor`."""
         q, v, a = self._checked(q, v, a)
-        names = self.robot.parameters.names
-        Y = np.zeros((len(q), self.robot.na, len(names)))
+        Y = np.zeros((len(q), self.robot.na, len(self.robot.parameters)))
         n_inertial = self._map.shape[1]
         for k in range(len(q)):
             state = self.solver.state(q[k], v[k], a[k])
             tree = pin.computeJointTorqueRegressor(self.model, self.data, state.q, state.v, state.a)
             tree = tree.reshape(self.model.nv, -1)  # eigenpy hands a single row out as a vector
             Y[k, :, :n_inertial] = state.G.T @ tree @ self._map
-            for name in self._gravity_only:
-                Y[k, :, names.index(name)] = state.G.T @ self._weight(state.q, name.rsplit(".", 1)[0])
+            for weight in self._weights:
+                Y[k, :, weight.column] = state.G.T @ self._hold(state.q, weight)
         joints = range(self.robot.na)
         Y[:, joints, [n_inertial + j for j in joints]] = a
         return Y
@@ -143,10 +133,11 @@ class SamplewiseTree(Mechanism):
         out = np.zeros((*q.shape, 3))
         for k in range(len(q) if self._sliding else 0):
             state = self.solver.state(q[k], v[k], a[k])
-            outside = self._outside_forces(state.q, state.v, state.a)
-            pin.rnea(self.model, self.data, state.q, state.v, state.a, outside)
+            tau = pin.rnea(self.model, self.data, state.q, state.v, state.a) + self._extra(state.q)
+            pin.updateGlobalPlacements(self.model, self.data)
+            pulls = self._loop_forces(state.q, tau)
             for i in self._sliding:
-                out[k, i] = self._across(self.model.getJointId(self.robot.actuated[i]))
+                out[k, i] = self._across(i, pulls)
         return out
 
     def guide_load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
@@ -165,9 +156,12 @@ class SamplewiseTree(Mechanism):
         out = np.zeros((len(q), len(self._pairs), 3, self.robot.na))
         for k in range(len(q) if self._pairs else 0):
             state = self.solver.state(q[k], rest, rest)
-            out[k] = compute_turning_rates(
-                self._pairs, pin.computeJointJacobians(self.model, self.data, state.q)[3:], state.G
-            )
+            jacobian = pin.computeJointJacobians(self.model, self.data, state.q)[3:]
+            for row, pair in zip(out[k], self._pairs, strict=True):
+                if pair.hinge is not None:
+                    row[0] = state.G[pair.hinge]
+                else:
+                    row[:] = (jacobian * pair.weights) @ state.G
         return tuple(pair.name for pair in self._pairs), out
 
     def condition(self, q: np.ndarray) -> np.ndarray:
@@ -194,38 +188,25 @@ class SamplewiseTree(Mechanism):
         tool = self.robot.tool_frame
         return carried(tool) if tool is not None else np.zeros(len(ids)), np.array(loops).reshape(-1, len(ids)).T
 
-    def _outside_forces(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> pin.StdVec_Force:
-        """Return the forces of loops and of mass that only gravity feels on every body, in joint frames, without moments.
+    def _loop_forces(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """Return the forces (loops, 3) that hold the passive joints, at a configuration and its tree forces (nv,)."""
+        if not self.robot.loops:
+            return np.zeros((0, 3))
+        passive = self.solver.passive_v
+        jacobian = self._constraints.jacobian(q)[:, passive]
+        return np.linalg.lstsq(jacobian.T, tau[passive], rcond=1e-10)[0].reshape(-1, 3)
 
-        Moments do not pass into the forces between bodies, which is all that is asked for here.
-        """
-        model, data = self.model, self.data
-        forces = np.zeros((model.njoints, 6))
-        tau = pin.rnea(model, data, q, v, a) + self._extra(q)
-        points = [(name.rsplit(".", 1)[0], self.robot.parameters[name].value) for name in self._gravity_only]
-        pushes = [(model.getFrameId(link), mass * model.gravity.linear) for link, mass in points]
-        if self.robot.loops:
-            passive = self.solver.passive_v
-            jacobian = self._constraints.jacobian(q)
-            multipliers = np.linalg.lstsq(jacobian[:, passive].T, tau[passive], rcond=1e-10)[0].reshape(-1, 3)
-            for loop, force in zip(self.robot.loops, multipliers, strict=True):
-                pushes += [(loop.frame_a, force), (loop.frame_b, -force)]
-        for frame, force in pushes:
-            joint = model.frames[frame].parentJoint
-            forces[joint, :3] += data.oMi[joint].rotation.T @ force
-        return pin.StdVec_Force([pin.Force(f) for f in forces])
-
-    def _across(self, joint: int) -> np.ndarray:
-        """Return the force (3,) across a slide's axis that lies beyond its own link, after `rnea` with outside forces."""
-        data, inertia = self.data, self.model.inertias[joint]
-        own = (inertia * data.a_gf[joint]).linear + np.cross(data.v[joint].angular, (inertia * data.v[joint]).linear)
-        for name in self._gravity_only:
-            frame = self.model.frames[self.model.getFrameId(name.rsplit(".", 1)[0])]
-            if frame.parentJoint == joint:
-                own = own - self.robot.parameters[name].value * data.oMi[joint].rotation.T @ self.model.gravity.linear
-        axis = np.asarray(data.joints[joint].S).reshape(6, -1)[:3, 0]
-        beyond = own - data.f[joint].linear
-        return data.oMi[joint].rotation @ (beyond - (beyond @ axis) * axis)
+    def _across(self, i: int, pulls: np.ndarray) -> np.ndarray:
+        """Return the force (3,) across a slide's axis that lies beyond its own link, after `rnea`; loops pull (loops, 3)."""
+        model, data, joint = self.model, self.data, self.model.getJointId(self.robot.actuated[i])
+        beyond = self._carried_by()[1][i] @ pulls
+        for child in (c for c in range(1, model.njoints) if model.parents[c] == joint):
+            beyond = beyond - data.oMi[child].rotation @ data.f[child].linear
+        for weight in self._weights:
+            if weight.joint != joint and joint in model.supports[weight.joint].tolist():
+                beyond = beyond + weight.mass * model.gravity.linear
+        axis = data.oMi[joint].rotation @ np.asarray(data.joints[joint].S).reshape(6, -1)[:3, 0]
+        return beyond - (beyond @ axis) * axis
 
     def _refuse_free_motion(self) -> None:
         """Refuse a mechanism whose passive joints could move by themselves; a rod's spin, which nothing drives, is fine."""
@@ -256,23 +237,14 @@ class SamplewiseTree(Mechanism):
 
     def _extra(self, q: np.ndarray) -> np.ndarray:
         """Return the tree forces of mass that only gravity feels (nv,)."""
-        tau = np.zeros(self.model.nv)
-        for name in self._gravity_only:
-            tau += self.robot.parameters[name].value * self._weight(q, name.rsplit(".", 1)[0])
-        return tau
+        return sum((weight.mass * self._hold(q, weight) for weight in self._weights), np.zeros(self.model.nv))
 
-    def _weight(self, q: np.ndarray, link: str) -> np.ndarray:
-        """Return the tree forces (nv,) that hold 1 kg at a link's origin against gravity."""
-        frame = self.model.getFrameId(link)
-        jacobian = pin.computeFrameJacobian(self.model, self.data, q, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+    def _hold(self, q: np.ndarray, weight: Weight) -> np.ndarray:
+        """Return the tree forces (nv,) that hold 1 kg at a weight's place against gravity."""
+        jacobian = pin.computeFrameJacobian(
+            self.model, self.data, q, weight.frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        )
         return -jacobian[:3].T @ self.model.gravity.linear
-
-
-class _Load(NamedTuple):
-    """What acts on one joint's body: force and moment (3, N) about its origin, in world axes, None for zero."""
-
-    force: Vector
-    moment: Vector
 
 
 class LoadedTree(BatchedTree):
@@ -280,7 +252,7 @@ class LoadedTree(BatchedTree):
 
     No drive holds the passive joints, so the loops' forces `lambda` do: `J_p' lambda = tau_p`, where `tau_p` are the forces that
     the open tree would need there. What everything beyond a slide's own link puts on that link is then the loops' pulls on its
-    subtree less what accelerates and carries the bodies behind it. Moments do not pass into it. All in world axes.
+    subtree less what accelerates and carries the bodies behind it. Moments do not pass into it.
     """
 
     def __init__(self, robot: Robot, solver: LoopSolver, joints: list[Joint]) -> None:
@@ -301,14 +273,7 @@ class LoadedTree(BatchedTree):
         out = np.zeros((len(pairs), 3, self.robot.na, len(q)))
         for part in iterate_blocks(len(q) if pairs else 0):
             closed = self.loops.close(q[part])
-            turns = {j.v: closed.at.axis[j.index][:, None] * closed.G[j.v] for j in self.joints if not j.slides}
-            for k, pair in enumerate(pairs):
-                if pair.hinge is not None:
-                    out[k, 0, :, part] = closed.G[pair.hinge]
-                    continue
-                for index in np.flatnonzero(pair.weights).tolist():
-                    if index in turns:
-                        out[k, :, :, part] += pair.weights[index] * turns[index]
+            out[:, :, :, part] = compute_turning_rates(pairs, self.joints, closed.at, closed.G)
         return tuple(pair.name for pair in pairs), out.transpose(3, 0, 1, 2)
 
     def condition(self, q: np.ndarray) -> np.ndarray:
@@ -324,67 +289,18 @@ class LoadedTree(BatchedTree):
         return np.concatenate(found)
 
     def _fill_guides(self, out: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
-        closed, moving = self.moving(q, v, a)
-        inertial = {link.joint_id: self._inertial(closed, moving, link.joint_id) for link in self.robot.links}
-        pulls = self._pulls(closed, inertial)
-        model = self.solver.model
+        closed, tree = self.open_tree(q, v, a)
+        pulls = closed.inverse.solve_transposed(tree.tau[self.solver.passive_v]) if self.robot.loops else None
         for i, (name, kind) in enumerate(zip(self.robot.actuated, self.robot.joint_kinds, strict=True)):
             if kind != "prismatic":
                 continue
-            own = model.getJointId(name)
-            inside = [j.index for j in self.joints if own in model.supports[j.index].tolist()]
-            beyond = np.zeros((3, len(q)))
-            for j in inside:
-                beyond += pulls.get(j, 0.0)
-                if j != own:
-                    needed = inertial[j].force if j in inertial else None
-                    beyond -= 0.0 if needed is None else needed
-                    beyond += sum(w.mass for w in self.weights if w.joint == j) * self.gravity[:, None]
-            axis = closed.at.axis[own]
-            out[i] = beyond - (beyond * axis).sum(axis=0) * axis
-
-    def _inertial(self, closed: ClosedLoops, moving: FrameMotion, joint: int) -> _Load:
-        """Return what accelerates and carries a body."""
-        blank = Partial(np.zeros(0, int), np.zeros((3, 0, closed.x.shape[1])), None)
-        force, moment = compute_body_wrench(self._body(closed, moving, blank, joint), self.pi[joint])
-        back = closed.at.rotation[joint].transpose(1, 0, 2)
-        return _Load(*(None if x is None else rotate_into_frame(back, x) for x in (force, moment)))
-
-    def _pulls(self, closed: ClosedLoops, inertial: dict[int, _Load]) -> dict[int, np.ndarray]:
-        """Return the loops' forces (3, N) on the joints' bodies they end on."""
-        found: dict[int, np.ndarray] = {}
-        if not self.robot.loops:
-            return found
-        tau = self._open_tree(closed, inertial)[self.solver.passive_v]
-        forces = closed.inverse.solve_transposed(tau).reshape(len(self.robot.loops), 3, -1)
-        for loop, force in zip(self.robot.loops, forces, strict=True):
-            for frame, sign in ((loop.frame_a, 1.0), (loop.frame_b, -1.0)):
-                joint = self.solver.model.frames[frame].parentJoint
-                found[joint] = found.get(joint, 0.0) + sign * force
-        return found
-
-    def _open_tree(self, closed: ClosedLoops, inertial: dict[int, _Load]) -> np.ndarray:
-        """Return the tree's joint forces (nv, N) with all loops cut: the recursion from the tips to the base."""
-        at, n = closed.at, closed.x.shape[1]
-        force: list[Vector] = [None] * (len(self.joints) + 1)
-        moment: list[Vector] = [None] * (len(self.joints) + 1)
-        for joint, load in inertial.items():
-            force[joint], moment[joint] = load
-        for weight in self.weights:
-            held = np.repeat(-weight.mass * self.gravity[:, None], n, axis=1)
-            arm = transform_point(at, weight.joint, weight.local) - at.origin[weight.joint]
-            force[weight.joint] = add_vectors(force[weight.joint], held)
-            moment[weight.joint] = add_vectors(moment[weight.joint], compute_cross_product(arm, held))
-        tau = np.zeros((self.solver.model.nv, n))
-        for joint in reversed(self.joints):
-            f, m = force[joint.index], moment[joint.index]
-            acting = f if joint.slides else m
-            if acting is not None:
-                tau[joint.v] = (at.axis[joint.index] * acting).sum(axis=0)
-            arm = at.origin[joint.index] - at.origin[joint.parent]
-            force[joint.parent] = add_vectors(force[joint.parent], f)
-            moment[joint.parent] = add_vectors(moment[joint.parent], add_vectors(m, compute_cross_product(arm, f)))
-        return tau
+            own = self.solver.model.getJointId(name)
+            back, carried = closed.at.rotation[own].transpose(1, 0, 2), tree.beyond[own]
+            beyond = None if carried is None else rotate_into_frame(back, carried)
+            beyond = add_vectors(beyond, None if pulls is None else self.loops.carried_force(pulls, own))
+            if beyond is not None:
+                axis = closed.at.axis[own]
+                out[i] = beyond - (beyond * axis).sum(axis=0) * axis
 
 
 MAX_ONE_BY_ONE = 12
@@ -427,7 +343,7 @@ class TreeMechanism(SamplewiseTree):
         super().__init__(robot)
         joints = list_joints(self.model)
         self.batched = None if joints is None else LoadedTree(robot, self.solver, joints)
-        free = not (robot.loops or self._gravity_only or self._unplaced)
+        free = not (robot.loops or self._weights or self._unplaced)
         self._plain = free and self.model.nq == self.model.nv and hasattr(pin, "rneaInParallel")
 
     def inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:

@@ -173,8 +173,6 @@ class TreeNewton:
         """Find out at home which motions leave the tool where it is."""
         self.engine, self.robot = engine, engine.robot
         model = self.robot.model
-        ends = [(model.frames[loop.frame_a], model.frames[loop.frame_b]) for loop in self.robot.loops]
-        self._ends = [[(int(f.parentJoint), f.placement.translation.copy()) for f in pair] for pair in ends]
         self._active, self._scale = self.robot.active_v, self.robot.drive_scale
         self._share = self.robot.coupling[0] / self._scale  # of the tree's own travel
         self._rests = np.zeros(0, int) if self.robot.loops else self.robot.passive_v
@@ -268,9 +266,7 @@ class TreeNewton:
         at = compute_frames(self.engine.joints, x)
         here, C, T = self.engine.pose_of(at), self._closure(at), self._fold(self.engine.twist(at))[:, 3:]
         away = here.position - poses.position
-        gap = np.concatenate(
-            [*[(transform_point(at, *a) - transform_point(at, *b)).T for a, b in self._ends], away], axis=1
-        )
+        gap = np.concatenate([self.engine.loops.gap(at).T, away], axis=1) if self.robot.loops else away
         turn = measure_turns(poses.rotation, here.rotation)
         pull = np.zeros((x.shape[1], x.shape[0]))
         if self.idle and toward is not None:
@@ -288,7 +284,7 @@ class TreeNewton:
     def _closure(self, at: Frames) -> np.ndarray:
         """Return the derivatives of loops and tool position by all joints (N, 3 * loops + 3, nv)."""
         twist = self._fold(self.engine.twist(at))
-        C = np.zeros((len(twist), 3 * len(self._ends) + 3, twist.shape[2]))
+        C = np.zeros((len(twist), 3 * len(self.robot.loops) + 3, twist.shape[2]))
         for (r, c), value in self.engine.loops.entries(at).items():
             C[:, r, c] = value
         C = self._fold(C)

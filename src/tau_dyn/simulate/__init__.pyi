@@ -5,14 +5,6 @@ from .compiled_plant import (
     PlantMotion as PlantMotion,
     compare_equations as compare_equations,
 )
-from .contact import (
-    ContactRun as ContactRun,
-    ContactSensors as ContactSensors,
-    Hand as Hand,
-    ServoArm as ServoArm,
-    run_contact as run_contact,
-)
-from .contact_work import CompliantSurface as CompliantSurface, Hole as Hole
 from .controllers import (
     CascadeController as CascadeController,
     CascadeLaw as CascadeLaw,
@@ -21,16 +13,6 @@ from .controllers import (
     read_law_file as read_law_file,
 )
 from .forces import SampledForces as SampledForces
-from .learning_plant import (
-    LearningPlant as LearningPlant,
-    Trial as Trial,
-    Unrepeatable as Unrepeatable,
-    VibrationSensors as VibrationSensors,
-    push_log as push_log,
-    simulate_binary_log as simulate_binary_log,
-    simulate_vibration_log as simulate_vibration_log,
-    square_path as square_path,
-)
 from .limits import (
     compute_condition_bound as compute_condition_bound,
     describe_exceeded_limit as describe_exceeded_limit,
@@ -68,4 +50,10 @@ from .trajectory import (
     Trajectory as Trajectory,
     concatenate as concatenate,
     move as move,
+)
+from .vibration_logs import (
+    VibrationSensors as VibrationSensors,
+    push_log as push_log,
+    simulate_binary_log as simulate_binary_log,
+    simulate_vibration_log as simulate_vibration_log,
 )

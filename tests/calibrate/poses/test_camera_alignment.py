@@ -23,7 +23,9 @@ from tau_dyn.kinematics.workspace import build_machine
 from tau_dyn.mechanism import Poses
 from tau_dyn.render import draw_camera_picture
 from tau_dyn.vision import Pattern
-from tau_dyn.vision.pattern import Photography, render
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "experiments"))
+from camera_parts.photographs import Photography, render
 
 cv2 = pytest.importorskip("cv2")
 PLATE = CameraPattern(9, 6, 0.04)

@@ -216,7 +216,7 @@ class LearningHistory:
 
 
 class TrialPlant(Protocol):
-    """A robot with its controller, or a simulation of both: `simulate.LearningPlant`."""
+    """A robot with its controller, or a simulation of both."""
 
     @property
     def dt(self) -> float:

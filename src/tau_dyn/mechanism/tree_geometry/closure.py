@@ -239,14 +239,12 @@ class TreeClosure:
     def __init__(self, shape: TreeShape) -> None:
         """Find the rank and scale of the passive Jacobian at the nominal robot's home."""
         self.shape = shape
-        self._solver = LoopSolver(shape.robot)
-        self._arrays = LoopArrays(self._solver, list(shape.joints))
+        self._arrays = LoopArrays(LoopSolver(shape.robot), list(shape.joints))
         self._nominal: dict[bytes, _Nominal] = {}
         self._last: tuple[bytes, ClosedConfigurations] = (b"", ClosedConfigurations(*[np.zeros(0)] * 5))
         self.rank, self.scale = 0, np.ones(len(shape.passive))
         if shape.n_loops:
-            x = self._arrays.close(shape.robot.home[None]).x
-            J = self._jacobian(_nominal_numbers(shape), x)
+            J = self._arrays.jacobian(self._arrays.close(shape.robot.home[None]).at)
             self.scale = measure_column_lengths(J)[0]
             s = np.linalg.svd(J[0] / self.scale, compute_uv=False)
             self.rank = int(np.sum(s > 1e-9 * s[0]))
@@ -285,7 +283,7 @@ class TreeClosure:
 
     def _range(self, x: np.ndarray) -> np.ndarray:
         """Return what the nominal joints can close: an orthonormal basis (N, 3 * loops, rank) of the range of `J_p`."""
-        J = self._jacobian(_nominal_numbers(self.shape), np.where(np.isfinite(x), x, 0.0))
+        J = self._arrays.jacobian(compute_frames(self._arrays.joints, np.where(np.isfinite(x), x, 0.0)))
         return np.linalg.svd(J / self.scale, full_matrices=False)[0][:, :, : self.rank]
 
     def _one_by_one(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -331,10 +329,6 @@ class TreeClosure:
         x[:, ~ok] = np.nan
         return ClosedConfigurations(x, inverse, opened, ok, reason)
 
-    def _jacobian(self, numbers: TreeNumbers, x: np.ndarray) -> np.ndarray:
-        found = compute_gap_by_position(self.shape, numbers, compute_frames(numbers.joints, x))
-        return np.moveaxis(found[:, self.shape.passive], 2, 0)
-
     def _inverse(self, J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the inverse of rank `rank` (N, passive, rows), and the smallest kept singular value by the largest (N,)."""
         sound = np.asarray(np.isfinite(J).all(axis=(1, 2)))
@@ -354,11 +348,3 @@ class TreeClosure:
         out = (vt[:, : self.rank].transpose(0, 2, 1) * weight[:, None]) @ u[:, :, : self.rank].transpose(0, 2, 1)
         smallest = kept[:, -1] / np.maximum(kept[:, 0], 1e-300) if self.rank else np.ones(len(J))
         return out / self.scale[:, None], np.where(sound, smallest, 0.0)
-
-
-def _nominal_numbers(shape: TreeShape) -> TreeNumbers:
-    points = np.array([end.local for end in shape.ends]).reshape(-1, 3)
-    na = len(shape.active)
-    return TreeNumbers(
-        list(shape.joints), [np.eye(3)] * len(shape.joints), points, shape.tool.local, np.ones(na), np.zeros(na)
-    )

@@ -131,7 +131,7 @@ class TreeNumbers:
     tool: np.ndarray
     gain: np.ndarray
     offset: np.ndarray
-    key: bytes = b"nominal"
+    key: bytes
 
 
 def get_shape(robot: Robot, tool: str | None = None) -> TreeShape:

@@ -1,5 +1,8 @@
 """The plant that learns: it repeats but for its noise, and stands where its kinematics say when it moves slowly."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -7,7 +10,10 @@ from raising import raises_code
 
 from tau_dyn.mechanism import L1_DRIVES, FlexibleModel, build_mechanism
 from tau_dyn.robot import load_robot
-from tau_dyn.simulate import LearningPlant, Unrepeatable, VibrationSensors, square_path
+from tau_dyn.simulate import VibrationSensors
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
+from ilc_parts.learning_plant import LearningPlant, Unrepeatable, square_path
 
 QUIET = {"sensors": VibrationSensors(), "unrepeatable": Unrepeatable(drive=0.0, push=0.0)}
 

@@ -1,5 +1,6 @@
 """An arm, a hand and a work in one loop with the lead-through law."""
 
+import sys
 from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
 
@@ -9,7 +10,10 @@ from raising import raises_code
 
 from tau_dyn.control.lead_through import ForceLoop, ForceSensor, LeadThrough, LeadThroughSettings
 from tau_dyn.robot import load_robot
-from tau_dyn.simulate import CompliantSurface, ContactSensors, Hand, Hole, ServoArm, run_contact
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
+from lead_through_parts.contact import ContactSensors, Hand, ServoArm, run_contact
+from lead_through_parts.contact_work import CompliantSurface, Hole
 
 IRB140 = Path(__file__).parents[2] / "experiments" / "lead_through_parts" / "irb140.urdf"
 UP = np.array([0.0, 0.0, 1.0])

@@ -22,9 +22,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import pinocchio as pin
 
+from lead_through_parts.contact_work import ContactWorkpiece
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.robot import Robot
-from tau_dyn.simulate.contact_work import ContactWorkpiece
 
 _TREMOR_HZ = 9.0  # Hz, physiological tremor of the hand (8 to 12 Hz)
 _WAVES = 12  # sines that make a hand's wander

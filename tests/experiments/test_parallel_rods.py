@@ -1,9 +1,11 @@
-"""The thesis' implicit inverse kinematics (4.25): joint plates from the plate's rotation, then carts of a translating plate."""
+"""The thesis' implicit kinematics, (4.26) forward and (4.25) inverse, agrees with the general solvers."""
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +14,10 @@ from raising import raises_code
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.mechanism import Poses, build_rods, forward_kinematics, inverse_kinematics
-from tau_dyn.mechanism.sliding_plate import solve_implicit_forward, solve_implicit_inverse
 from tau_dyn.robot import load_robot
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
+from thesis_4_parts.parallel_rods import solve_implicit_forward, solve_implicit_inverse
 
 
 def moved(robot, rng, n: int = 100, size: float = 0.1) -> np.ndarray:
@@ -104,3 +108,26 @@ def test_out_of_reach_and_other_robots() -> None:
     for name in ("delta", "stewart"):
         with raises_code("unsupported"):
             solve_implicit_inverse(build_rods(load_robot(name)), pose)
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"), [("gantry_tau", {"arms": "complete"}), ("delta", {}), ("gantry_tau_t2", {})]
+)
+def test_closed_form_of_parallel_rods_equals_newton(name, arguments, rng) -> None:
+    """The thesis' implicit kinematics (4.26): with q4 = -q5 rotation and position of the T2 come one after the other."""
+    robot = load_robot(name, **arguments)
+    q = moved(robot, rng, 50, 0.08)
+    found, closed = forward_kinematics(robot, q), solve_implicit_forward(build_rods(robot), q)
+    assert found.ok.all() and closed.defect.max() < 1e-12
+    assert_allclose(closed.poses.position, found.poses.position, atol=1e-11)
+    assert_allclose(closed.poses.rotation, found.poses.rotation, atol=1e-11)
+
+
+def test_closed_form_says_where_it_is_not_exact() -> None:
+    """With q4 and q5 apart the arms' vectors are no rotated plate: the defect shows it, Newton solves it."""
+    robot = load_robot("gantry_tau_t2")
+    q = robot.home.copy()
+    q[robot.actuated.index("q4")] += 0.1
+    closed, found = solve_implicit_forward(build_rods(robot), q), forward_kinematics(robot, q)
+    assert closed.defect[0] > 1e-3 and found.ok[0]
+    assert np.abs(build_rods(robot).gap(q, found.plate)).max() < 1e-13

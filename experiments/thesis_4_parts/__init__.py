@@ -1,0 +1,1 @@
+"""Kinematics of chapter 4 of Dressler 2012."""
