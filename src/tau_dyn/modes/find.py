@@ -21,7 +21,15 @@ import numpy as np
 from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
 from tau_dyn.log import Log
 from tau_dyn.modes.contact import window_forces
-from tau_dyn.modes.delay import MAX_DELAY_SAMPLES, ORDERS, DelayChoice, choose_delay, find_response_onset
+from tau_dyn.modes.delay import (
+    MAX_DELAY_SAMPLES,
+    ORDERS,
+    DelayChoice,
+    DelayScan,
+    choose_delay,
+    find_response_onset,
+    scan_delays,
+)
 from tau_dyn.modes.feedback_tests import (
     ACAUSALITY_SIGNIFICANCE_LEVEL,
     Acausality,
@@ -29,10 +37,26 @@ from tau_dyn.modes.feedback_tests import (
     detect_feedback,
     find_acausality,
 )
-from tau_dyn.modes.methods import METHODS, build_initial_estimator, decompose_pulse_tests, estimate_first_poles
+from tau_dyn.modes.methods import (
+    METHODS,
+    InitialModels,
+    Start,
+    build_initial_estimator,
+    decompose_pulse_tests,
+    estimate_first_poles,
+)
 from tau_dyn.modes.modal import widen_modes
-from tau_dyn.modes.order import MANY_NUMBERS, TOLERANCE, OrderChoice, choose_order, read_whole_number, select_parts
-from tau_dyn.modes.record import PreparedRecords, prepare_records
+from tau_dyn.modes.order import (
+    MANY_NUMBERS,
+    NEIGHBOURS,
+    TOLERANCE,
+    OrderChoice,
+    add_standard_errors,
+    choose_order,
+    read_whole_number,
+    select_parts,
+)
+from tau_dyn.modes.record import PreparedRecords, Record, prepare_records
 from tau_dyn.modes.refinement import RefinedModel, refine, refine_predictor
 from tau_dyn.modes.residuals import PREDICTED, SIMULATED, compute_mean_squares, compute_residuals
 from tau_dyn.modes.result import Modes
@@ -46,8 +70,6 @@ PULSE_GAIN = 0.1  # share by which a delay must lower what pulse tests leave, to
 MAX_ROUNDS, FEW_ROUNDS = 40, 15
 """Rounds of refinement; few for models of many free numbers, which begin at a refined trial, and for pulse tests, which can
 hold more modes than a model and then creep."""
-NEIGHBOURS = 4
-"""States by which a model may differ, whose modes standard errors have to allow for if it simulates as well."""
 POSSIBLE = 0.2  # p-value below which feedback cannot be excluded, and standard errors allow for it
 MAX_LOOP_GAIN = 10.0  # loop gains beyond it are rare within a resonance, and the number would say nothing
 WORST_RATIO = 1.15
@@ -124,9 +146,18 @@ def find_modes(
     feedback = Feedback(False, 1.0, 0.0, "pulses answer to nothing") if pulses else detect_feedback(data.train)
     first, why = _choose_first_method(method, data, feedback)
 
+    starts: dict[tuple[str, int], Start] = {}  # by method and delay: what is compared shares its first models
+    scans: list[DelayScan] = []
+
     def attempt(name: str, kind: str) -> MethodCandidate:
-        late = _choose_delay(data, name, kind, asked, fixed, measured.kind, say)
-        start = partial(build_initial_estimator, name, delay=late.delay, highest=max(20, asked or 0))
+        late = _choose_delay(data, name, kind, asked, fixed, measured.kind, say, scans)
+
+        def start(records: Sequence[Record]) -> Start:
+            if (name, late.delay) not in starts:
+                made = build_initial_estimator(name, records, delay=late.delay, highest=max(20, asked or 0))
+                starts[name, late.delay] = made
+            return starts[name, late.delay]
+
         states = choose_order(data.train, start, kind=kind, asked=asked, pulses=pulses, progress=say)
         return MethodCandidate(name, kind, late, states)
 
@@ -143,6 +174,7 @@ def find_modes(
         best, more = choose_error_kind(best, data, lambda: attempt_predicted("n4sid"))
         why += more
 
+    best = replace(best, states=add_standard_errors(best.states))
     say(f"refining order {best.states.order}")
     refined, how = _refine_best(data, best, alone=method != "auto")
     say("fitting all data")
@@ -201,8 +233,16 @@ def _choose_first_method(method: str, data: PreparedRecords, feedback: Feedback)
 
 
 def _choose_delay(
-    data: PreparedRecords, method: str, kind: str, asked: int | None, fixed: int | None, sensor: str, say: Progress
+    data: PreparedRecords,
+    method: str,
+    kind: str,
+    asked: int | None,
+    fixed: int | None,
+    sensor: str,
+    say: Progress,
+    scans: list[DelayScan],
 ) -> DelayChoice:
+    """Return the delay; the scan over first models, the same for every method, is kept in `scans`."""
     if fixed is not None:
         return DelayChoice(fixed, (), float("nan"), f"a delay of {fixed} samples was asked for")
     orders = ORDERS if asked is None else sorted({o for o in ORDERS if o < asked} | {min(asked, 20)})
@@ -210,14 +250,14 @@ def _choose_delay(
     most = MAX_DELAY_SAMPLES
     if decays is not None:  # what does not answer to a force within the sample, answers one sample after the delay
         most = max(0, find_response_onset(data.train, decays, MAX_DELAY_SAMPLES) - (sensor != "acceleration"))
+
+    def look(records: Sequence[Record], d: int) -> InitialModels:
+        return estimate_first_poles(method, records, delay=d, decays=decays)
+
+    if not scans:
+        scans.append(scan_delays(data.train, look, orders=orders, most=most, progress=say))
     return choose_delay(
-        data.train,
-        lambda records, d: estimate_first_poles(method, records, delay=d, decays=decays),
-        kind=kind,
-        orders=orders,
-        most=most,
-        least_gain=0.0 if decays is None else PULSE_GAIN,
-        progress=say,
+        data.train, look, kind=kind, least_gain=0.0 if decays is None else PULSE_GAIN, progress=say, scan=scans[0]
     )
 
 
@@ -351,7 +391,8 @@ def _refine_best(data: PreparedRecords, best: MethodCandidate, *, alone: bool) -
     if taken is None or rounds > FEW_ROUNDS:
         alone = alone or best.kind == PREDICTED or rounds == FEW_ROUNDS
         names = (method,) if alone else dict.fromkeys((method, "n4sid", "arx"))
-        starts += [(name, partial(begin, name)) for name in names]
+        # a refined trial began where its method does
+        starts += [(name, partial(begin, name)) for name in names if taken is None or alone or name != method]
     found: list[tuple[float, str, RefinedModel]] = []
     fault: Exception | None = None
     for name, start in starts:
