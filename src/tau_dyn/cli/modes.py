@@ -37,7 +37,7 @@ def modes(
     """Resonances from vibration logs, with uncertainty; a black-box model; M, D and K where the data hold them.
 
     Args:
-        logs: CSV, Parquet, MCAP, a ROS bag or .mat with t and any columns; never joined
+        logs: CSV, Parquet, MCAP, a ROS bag, .mat or .unv with t and any columns; never joined
         inputs: What excites; without any, operational modal analysis of the outputs (logs with other outputs are further
             set-ups, joined by the outputs that all have)
         outputs: What responds; as many as inputs and in their order, they are taken as measured where the forces act
