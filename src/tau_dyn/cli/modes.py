@@ -29,6 +29,7 @@ def modes(
     delay: Annotated[str, Parameter(metavar="N")] = "auto",
     sensor: Literal["auto", "displacement", "velocity", "acceleration"] = "auto",
     collocated: Annotated[args.Strings, Parameter(metavar="INPUT:OUTPUT")] = (),
+    time_limit: Annotated[args.Positive | None, Parameter(metavar="SECONDS")] = None,
     robot: Annotated[str | None, Parameter(metavar="ROBOT")] = None,
     out: Annotated[Path | None, args.build_destination("MODEL.yaml", "Write the black-box model here")] = None,
     robot_options: args.RobotOptions = args.RobotOptions(),
@@ -50,6 +51,7 @@ def modes(
             by what fits
         collocated: Pairs at one place and in one direction, for mass, damping and stiffness (default: inputs and outputs in
             their order, where as many)
+        time_limit: Try nothing more after this wall time; the best model so far is the answer
         robot: Draw the modes on this robot (outputs named x_tool, ay_plate, ...); with springs in its file also its own
             modes
     """
@@ -60,6 +62,7 @@ def modes(
         "--collocated": collocated,
         f"--method {method}": method != "auto",
         f"--delay {delay}": delay != "auto",
+        "--time-limit": time_limit is not None,
     }
     given = next((name for name, value in options.items() if value), None)
     if not inputs and given is not None:
@@ -85,6 +88,7 @@ def modes(
                 delay=delay,
                 sensor=sensor,
                 collocated=[_split_pair(pair) for pair in collocated],
+                time_limit=time_limit,
                 seed=output.seed,
                 progress=step,
             )

@@ -154,7 +154,7 @@ class Descent(Generic[State]):
         state: The best state.
         steps: Accepted steps.
         trials: Steps tried.
-        reason: `small_step`, `small_gain`, `no_descent` (no damping led further down) or `max_steps`.
+        reason: `small_step`, `small_gain`, `no_descent` (no damping led further down) or `max_steps` (or stopped).
     """
 
     state: State
@@ -173,6 +173,7 @@ def descend(
     state: State,
     rules: DescentRules = DescentRules(),
     progress: Callable[[int, float], None] = lambda step, gain: None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> Descent[State]:
     """Walk down from a state.
 
@@ -181,9 +182,12 @@ def descend(
         state: Where to start.
         rules: When to stop, and how to damp.
         progress: Told the number of every accepted step and what it gained.
+        stop: Asked before every step whether to end there, as after the last of `rules.max_steps`.
     """
     damping, idle, trials = rules.damping, 0, 0
     for steps in range(rules.max_steps):
+        if stop():
+            return Descent(state, steps, trials, "max_steps")
         system, begun = problem.linearise(state), damping
         for _ in range(rules.max_trials):
             step, size = system.step(damping)

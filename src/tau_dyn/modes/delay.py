@@ -30,12 +30,14 @@ from tau_dyn.modes.methods import EraFactors, InitialModels
 from tau_dyn.modes.record import Record, truncate_records
 from tau_dyn.modes.refinement import refine
 from tau_dyn.modes.residuals import SIMULATED, compute_aic_bic, compute_log_det_loss, count_free_parameters
+from tau_dyn.modes.time_limit import NO_LIMIT, TimeLimit
 
 MAX_SAMPLES = 6_000  # samples that the delays are compared on
 MAX_DELAY_SAMPLES = 20  # the longest delay that is tried
 ORDERS = (2, 4, 6, 8, 12, 20, 28)  # orders tried for every delay: modes that all of them lack would look like a delay
 MAX_REFINED_ORDER = 12
 """Order up to which rivals are refined: beyond, first models are close enough for a delay, and refinement slow."""
+SCAN_SHARE = 0.3  # of a time limit after which no further delay is looked at
 COARSE = 4  # step of the first look
 CLOSE_BIC_DIFFERENCE = 100.0  # BIC within which two delays are compared by refined models
 RIVALS = 3  # delays refined at most; a scan over first models tells the others apart
@@ -87,6 +89,7 @@ def scan_delays(
     orders: Sequence[int] = ORDERS,
     most: int = MAX_DELAY_SAMPLES,
     progress: Callable[[str], None] | None = None,
+    limit: TimeLimit = NO_LIMIT,
 ) -> DelayScan:
     """Compare delays by first models of several orders; see `choose_delay` for the arguments.
 
@@ -95,7 +98,7 @@ def scan_delays(
     """
     few = truncate_records(records, MAX_SAMPLES)
     most = min(most, min(r.n_samples for r in few) // 20)
-    found = _scan(few, first, orders, most, progress or (lambda step: None))
+    found = _scan(few, first, orders, most, progress or (lambda step: None), limit)
     if not found:
         raise CannotAnswer(
             "no_solution", "no model follows from these data", "a longer log, with more excitation against the noise"
@@ -113,6 +116,7 @@ def choose_delay(
     least_gain: float = 0.0,
     progress: Callable[[str], None] | None = None,
     scan: DelayScan | None = None,
+    limit: TimeLimit = NO_LIMIT,
 ) -> DelayChoice:
     """Choose the delay.
 
@@ -126,11 +130,12 @@ def choose_delay(
             A true delay spares the states that would stand for it; missing modes can look like a delay to BIC too.
         progress: Told what is done.
         scan: The comparison of the same records by first models, where it is known.
+        limit: Leaves rivals unrefined once it is over.
 
     Raises:
         CannotAnswer: No delay gives a model.
     """
-    scan = scan or scan_delays(records, first, orders=orders, most=most, progress=progress)
+    scan = scan or scan_delays(records, first, orders=orders, most=most, progress=progress, limit=limit)
     few, most, found = scan.records, scan.longest, scan.found
 
     def refined(d: int, order: int) -> float:
@@ -149,7 +154,11 @@ def choose_delay(
                 why = f"{what}: a longer one would spare no states and lower the errors by little"
                 return DelayChoice(d, rows, sure, why)
     close = [d for bic, d in ranked if bic < lowest + CLOSE_BIC_DIFFERENCE][:RIVALS]
-    if len(close) > 1 and order <= MAX_REFINED_ORDER:
+    if (
+        len(close) > 1
+        and order <= MAX_REFINED_ORDER
+        and not limit.is_over("refined models of close delays", SCAN_SHARE)
+    ):
         after = {d: bic for d in close if np.isfinite(bic := refined(d, order))}
         if after:
             best = min(after, key=lambda d: (after[d], d))
@@ -179,6 +188,7 @@ def _scan(
     orders: Sequence[int],
     most: int,
     say: Callable[[str], None],
+    limit: TimeLimit,
 ) -> dict[int, tuple[float, int]]:
     """Return by delay the best BIC and its order: a coarse look, then the neighbours of the best."""
     found: dict[int, tuple[float, int]] = {}
@@ -186,6 +196,8 @@ def _scan(
     while wanted:
         tried.update(wanted)  # those that give no model, too, or they would be tried for ever
         for d in wanted:
+            if found and limit.is_over("further delays", SCAN_SHARE):
+                return found
             say(f"delay {d}")
             try:
                 models = first(records, d)

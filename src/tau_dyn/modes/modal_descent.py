@@ -42,6 +42,7 @@ def minimise(
     direct: np.ndarray,
     maximum_rounds: int,
     allowed: Callable[[ModalForm], bool] = lambda form: True,
+    stop: Callable[[], bool] = lambda: False,
 ) -> Descent[FitPoint]:
     """Walk down from a point; steps are counted without a last small one.
 
@@ -51,10 +52,11 @@ def minimise(
         direct: Which entries of D are free (p, m).
         maximum_rounds: Most accepted steps.
         allowed: Says whether a model may be visited at all.
+        stop: Asked before every step whether to end there.
     """
     model = balance_model(append_initial_states(point))
     start = _Visit(model, evaluate(*split_initial_states(model, direct.shape[1]), records))
-    end = descend(_Descending(records, direct, allowed), start, replace(RULES, max_steps=maximum_rounds))
+    end = descend(_Descending(records, direct, allowed), start, replace(RULES, max_steps=maximum_rounds), stop=stop)
     assert end.state.point is not None
     return Descent(end.state.point, end.steps - (end.reason == "small_step"), end.trials, end.reason)
 

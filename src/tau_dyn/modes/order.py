@@ -38,6 +38,7 @@ from tau_dyn.modes.residuals import (
     measure_spread,
 )
 from tau_dyn.modes.state_space import StateSpace
+from tau_dyn.modes.time_limit import NO_LIMIT, TimeLimit
 from tau_dyn.results import Brief
 
 SELECT_SHARE = 0.25  # of the training data on which orders are compared
@@ -46,6 +47,7 @@ PULSE = 500  # samples of each pulse that are kept in any case
 MAX_ORDER = 60  # highest order that is looked at unless one is asked for: thirty modes in the band of one test
 MAX_PREDICTED_ORDER = 24
 """The same where one-step predictions are compared, whose first models cost a factorisation each."""
+SCAN_SHARE = 0.6  # of a time limit after which no further first model is looked at
 COARSE_RATIO = 1.3  # of an order to the one before it in the first look at orders above the small ones
 SMALL = 8  # up to this order all even ones below are refined, which costs little and fills the stabilisation diagram
 BEYOND = 4  # orders that are refined above the leading one: a diagram needs them, a choice does not
@@ -149,6 +151,7 @@ def choose_order(
     asked: int | None = None,
     pulses: bool = False,
     progress: Callable[[str], None] | None = None,
+    limit: TimeLimit = NO_LIMIT,
 ) -> OrderChoice:
     """Choose the order.
 
@@ -160,12 +163,13 @@ def choose_order(
         asked: An order that is wanted in any case; the trials then only show what it is among.
         pulses: Whether each record is a pulse and its decay, which must not be cut.
         progress: Told what is done.
+        limit: Ends the search once one order has been refined.
 
     Raises:
         CannotAnswer: No order gives a stable model.
     """
     fitted, kept = select_pulses(records) if pulses else select_parts(records)
-    search = _Search(fitted, kept, start(fitted), kind, progress or (lambda step: None), pulses)
+    search = _Search(fitted, kept, start(fitted), kind, progress or (lambda step: None), pulses, limit)
     scanned: list[_Row] = []
     if orders is not None:
         for order in _affordable(fitted, orders):
@@ -223,6 +227,7 @@ class _Search:
     kind: str
     say: Callable[[str], None]
     pulses: bool = False
+    limit: TimeLimit = NO_LIMIT
 
     def __post_init__(self) -> None:
         self.rows: list[_Row] = []
@@ -255,6 +260,8 @@ class _Search:
         rows: list[_Row] = []
         coarse, tried = list(_thin(orders)), set[int]()
         for k, order in enumerate(coarse, start=1):
+            if rows and order > SMALL and self.limit.is_over(f"orders from {order} up", SCAN_SHARE):
+                break
             self.say(f"scanning orders, {k} of {len(coarse)}")
             tried.add(order)
             rows += self._look(order)
@@ -264,7 +271,7 @@ class _Search:
         while (best := self._enough(rows)) is not None:
             below = max((n for n in tried if n < best.order), default=0)
             between = [n for n in orders if below < n < best.order]
-            if not between:
+            if not between or self.limit.is_over("orders between those scanned", SCAN_SHARE):
                 break
             order = between[len(between) // 2]
             tried.add(order)
@@ -340,6 +347,8 @@ class _Search:
         if order < 1 or order in self.tried or order not in self.affordable or len(self.tried) >= MAX_REFINED_MODELS:
             return
         self.tried.add(order)
+        if self.rows and self.limit.is_over("more refined orders"):
+            return
         self.say(f"order {order}")
         try:
             first = self.make(order)

@@ -293,6 +293,7 @@ def refine(
     direct: bool | None = None,
     maximum_rounds: int = 40,
     covariance: bool = True,
+    stop: Callable[[], bool] = lambda: False,
 ) -> RefinedModel:
     """Refine a model on records.
 
@@ -303,11 +304,13 @@ def refine(
         direct: Whether D may differ from zero; None as in the model given.
         maximum_rounds: Most accepted steps.
         covariance: Whether to work out uncertainties; without them every standard error is nan, in half the time.
+        stop: Asked before every step whether to end there.
 
     Raises:
         InputError: The kind is unknown or the records do not fit the model.
     """
-    return descend_to_fit(model, records, kind=kind, direct=direct, maximum_rounds=maximum_rounds).finish(covariance)
+    path = descend_to_fit(model, records, kind=kind, direct=direct, maximum_rounds=maximum_rounds, stop=stop)
+    return path.finish(covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -385,6 +388,7 @@ def descend_to_fit(
     kind: str = "output_error",
     direct: bool | None = None,
     maximum_rounds: int = 40,
+    stop: Callable[[], bool] = lambda: False,
 ) -> RefinementPath:
     """Walk from a model down to the one that fits records best; see `refine`."""
     if kind not in KINDS:
@@ -396,7 +400,7 @@ def descend_to_fit(
     direct = bool(np.any(model.D)) if direct is None else direct
     problem = _output_errors if kind == SIMULATED else _prediction_errors
     point, wide, free, as_model, allowed = problem(replace(model.scaled(scales), delay=0), ready, direct)
-    path = minimise(point, wide, free, maximum_rounds, allowed)
+    path = minimise(point, wide, free, maximum_rounds, allowed, stop)
     return RefinementPath(model, kind, scales, wide, free, as_model, path)
 
 
