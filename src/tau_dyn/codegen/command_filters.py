@@ -26,15 +26,29 @@ from tau_dyn.version import __version__
 class SampledShaper(Protocol):
     """Impulses at whole samples, as `control.vibration.Shaper.sampled` returns them."""
 
-    times: np.ndarray
-    amplitudes: np.ndarray
+    @property
+    def times(self) -> np.ndarray:
+        """When (n,) [s]."""
+        ...
+
+    @property
+    def amplitudes(self) -> np.ndarray:
+        """How large (n,)."""
+        ...
 
 
 class Sections(Protocol):
     """A chain of second-order sections (s, 6) for a step [s], as `control.vibration.CausalNotch`."""
 
-    sections: np.ndarray
-    dt: float
+    @property
+    def sections(self) -> np.ndarray:
+        """Second-order sections (s, 6), b then a."""
+        ...
+
+    @property
+    def dt(self) -> float:
+        """Sampling step [s]."""
+        ...
 
 
 def write_shaper_source(

@@ -105,7 +105,8 @@ def _list_modes(path: Path) -> Iterator[tuple[float, float, float, float]]:
         yield (
             _number(path, row, "frequency_hz"),
             _number(path, row, "damping_ratio"),
-            *(_number(path, row, key, missing=0.0) for key in ("frequency_stderr", "damping_stderr")),
+            _number(path, row, "frequency_stderr", missing=0.0),
+            _number(path, row, "damping_stderr", missing=0.0),
         )
 
 

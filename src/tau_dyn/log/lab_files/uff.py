@@ -148,7 +148,7 @@ def _read_sets(path: Path) -> tuple[list[dict[str, Any]], Mapping[str, float]]:
             file = pyuff.UFF(str(path))
             kinds = [int(kind) for kind in file.get_set_types()]
             wanted = [k for k, kind in enumerate(kinds) if kind in (58, 164)]
-            found = [file.read_sets(k) for k in wanted]
+            found: list[Any] = [file.read_sets(k) for k in wanted]
     except Exception as fault:  # the library raises whatever happens, most of it as a bare Exception
         text = " ".join(str(fault).split())[:80]
         raise InputError("damaged_file", f"{path.name} is damaged ({text}); export it again.") from None
