@@ -268,7 +268,7 @@ class _Search:
             best = self._enough(rows)
             if best and best.fit_percent > GOOD_FIT_PERCENT and order >= best.order + PATIENCE:
                 break
-        while (best := self._enough(rows)) is not None:
+        while not self.pulses and (best := self._enough(rows)) is not None:  # pulses are bracketed by refined models
             below = max((n for n in tried if n < best.order), default=0)
             between = [n for n in orders if below < n < best.order]
             if not between or self.limit.is_over("orders between those scanned", SCAN_SHARE):
