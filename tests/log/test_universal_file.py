@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import read_log
-from tau_dyn.modes import find_modes
+from tau_dyn.modes import build_records, find_modes
 
 DT, N = 0.002, 1500
 ACCELERATION, FORCE, DISPLACEMENT = 12, 13, 8
@@ -92,6 +92,7 @@ def test_resonances_follow_from_several_records(tmp_path) -> None:
         channels += [{"data": force, "kind": FORCE, "unit": "N"}, {"data": y, "node": 2}]
     log = read_log(write(tmp_path / "bench.uff", *channels, {"data": y, "function": 4}))
     assert any("no time records are left out" in w for w in log.warnings)
+    assert [r.n_samples for r in build_records(log, ["f_1z"], ["a_2z"])] == [N, N, N]
     found = find_modes(log, ["f_1z"], ["a_2z"], order=2, delay=0)
     assert found.modes[0].frequency_hz == pytest.approx(12, rel=0.01)
     assert found.modes[0].damping_ratio == pytest.approx(0.02, rel=0.2)
@@ -144,3 +145,10 @@ def test_other_files_are_refused_without_the_extra(tmp_path, monkeypatch) -> Non
     monkeypatch.setitem(sys.modules, "pyuff", None)
     with pytest.raises(InputError, match=r"tau_dyn\[uff\]"):
         read_log(write(path, {"data": np.ones(50)}))
+
+
+def test_samples_that_cannot_be_there_are_refused_before_the_library_sees_the_file(tmp_path, monkeypatch) -> None:
+    """Two thousand million samples in a file of a few kilobytes: refused without the library, which would believe it."""
+    monkeypatch.setitem(sys.modules, "pyuff", None)
+    with raises_code("damaged_file"):
+        read_log(write(tmp_path / "bench.unv", {"data": np.ones(50), "count": 2_000_000_000}))

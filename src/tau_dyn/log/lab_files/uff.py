@@ -115,6 +115,7 @@ def _check(path: Path) -> None:
                 header, sets = 0, sets + 1
             elif header == 7:
                 announced, header = announced + _count_samples(path.name, line), -1
+            before = line.strip()
             if sets > MAX_DATASETS or announced > size:
                 raise InputError(
                     "damaged_file",
