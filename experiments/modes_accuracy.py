@@ -77,9 +77,7 @@ def bound(model: StateSpace, record: Record, snr_db: float, coloured: bool = Fal
     normal = assemble_normal_equations(point, free_numbers(form, direct), np.diag(1 / power))
     scale = np.sqrt(np.diag(normal.H))
     inverse = np.linalg.inv(normal.H / np.outer(scale, scale)) / np.outer(scale, scale)
-    covariance = propagate_covariance(
-        form, inverse[: normal.n_model, : normal.n_model], direct, lambda f: f.state_space()
-    )
+    covariance = propagate_covariance(form, inverse[: normal.n_model, : normal.n_model], direct, lambda f: f, form)
     return np.array([(mode.frequency_stderr, mode.damping_stderr) for mode in find_resonances(model, covariance)])
 
 

@@ -30,7 +30,7 @@ _MODULES = (
     "mechanism",
     "exchange",
     "identify",
-    "log.matlab",
+    "log.lab_files.matlab",
     "log.mcap_log",
     "log.rosbag_log",
     "render",

@@ -276,6 +276,10 @@ WARNING_CODES: dict[str, MessageCode] = {
         "`modes`: the outputs do not follow the inputs near a mode", "more force there, or less noise"
     ),
     "tone_of_input": MessageCode("`modes`: a mode is a tone of the inputs", "noise or a sweep as input"),
+    "time_limit": MessageCode(
+        "`modes --time-limit`: the time was over before all was tried",
+        "a larger limit; `--order`, `--delay` or `--method` where they are known",
+    ),
     "order_at_limit": MessageCode("`modes`: the highest order tried was taken", "`--order N`; a longer log"),
     "copied_data": MessageCode(
         "two logs hold the same samples: given twice, an excerpt, another clock or rate, rounded or with added noise",

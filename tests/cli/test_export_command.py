@@ -254,3 +254,36 @@ def test_meshes_resolve_from_another_folder(mapped, tmp_path, monkeypatch) -> No
     assert main(["export", model, "--to", "urdf", "--out", "x.urdf"]) == 0
     (name,) = re.findall('mesh filename="([^"]+)"', (tmp_path / "x.urdf").read_text())
     assert (tmp_path / name).resolve() == (mapped / "meshes" / "arm.stl").resolve()
+
+
+@pytest.mark.parametrize("to", ["shaper", "notch"])
+def test_filters_for_a_resonance_compile_and_state_what_they_leave(to, tmp_path, monkeypatch, capsys) -> None:
+    """From a result of `modes` with its intervals: a wider interval leaves more of the resonance, and C states as much."""
+    monkeypatch.chdir(tmp_path)
+    key = {"shaper": "residual_over_interval", "notch": "gain_over_interval"}[to]
+    left = []
+    for stderr in (0.02, 0.2):
+        mode = {"frequency_hz": 6.0, "damping_ratio": 0.02, "frequency_stderr": stderr, "damping_stderr": 0.001}
+        Path("m.json").write_text(json.dumps({"command": "modes", "modes": [mode]}))
+        assert main(["export", "m.json", "--to", to, "--period", "0.001", "--json", "r.json", "--quiet"]) == 0
+        found = json.loads(Path("r.json").read_text())
+        assert found["period"] == 0.001 and found["warnings"] == []
+        left.append(found["modes"][0][key])
+    assert 0 < left[0] < 0.5 * left[1]
+    assert f"{100 * left[1] if to == 'shaper' else left[1]:.3g}" in Path("m.h").read_text()
+    if shutil.which("cc"):
+        command = ["cc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-c", "m.c", "-o", "x.o"]
+        subprocess.run(command, check=True)
+    assert main(["export", "m.json", "--to", to, "--mode", "2"]) == 2
+    assert "1 at 6 Hz" in capsys.readouterr().err
+
+
+def test_a_robot_with_springs_has_modes_to_shape_for(tmp_path, monkeypatch) -> None:
+    """The slowest mode of its springs at home, without an interval, which is stated."""
+    monkeypatch.chdir(tmp_path)
+    robot = ["gantry_tau", "--set", "flexible=true", "--set", "arms=complete"]
+    command = ["export", *robot, "--to", "shaper", "--shaper", "ei", "--json", "r.json"]
+    assert main([*command, "--period", "0.0001"]) == 0
+    found = json.loads(Path("r.json").read_text())
+    assert found["modes"][0]["residual_at_estimate"] == pytest.approx(0.05, abs=5e-3)
+    assert any("no standard errors" in w for w in found["warnings"])

@@ -26,13 +26,13 @@ class Compiled:
         subprocess.run(command, check=True)
         self._code, self._name = ctypes.CDLL(str(library)), name
 
-    def __call__(self, function: str, *arguments: np.ndarray | int | None) -> int:
+    def __call__(self, function: str, *arguments: np.ndarray | int | ctypes.c_double | None) -> int:
         """Call `name_function`; arrays are passed as they are and may be written to."""
         return getattr(self._code, f"{self._name}_{function}")(*(_passed(x) for x in arguments))
 
 
-def _passed(x: np.ndarray | int | None):
-    if x is None or isinstance(x, int):
+def _passed(x: np.ndarray | int | ctypes.c_double | None):
+    if x is None or isinstance(x, int | ctypes.c_double):
         return x
     assert x.dtype == np.float64 and x.flags.c_contiguous
     return x.ctypes.data_as(ctypes.POINTER(ctypes.c_double))

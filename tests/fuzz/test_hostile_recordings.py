@@ -289,13 +289,13 @@ def test_cells_inside_cells_are_not_copied_at_every_level(tmp_path: Path) -> Non
 
 def test_bytes_that_become_numbers_of_eight_bytes_are_counted_first(tmp_path: Path, monkeypatch) -> None:
     """Half a gigabyte of zeros in 0.5 MB became four gigabytes a column."""
-    monkeypatch.setattr("tau_dyn.log.matlab.MAX_CELLS", 10**5)
+    monkeypatch.setattr("tau_dyn.log.lab_files.matlab.MAX_CELLS", 10**5)
     refused(matlab(tmp_path / "x.mat", whole_bytes(10**5 + 1)), "100001 numbers")
 
 
 def test_millions_of_empty_cells_are_refused(tmp_path: Path, monkeypatch) -> None:
     """Each takes eight bytes that pack well."""
-    monkeypatch.setattr("tau_dyn.log.matlab.MAX_ELEMENTS", 10**4)
+    monkeypatch.setattr("tau_dyn.log.lab_files.matlab.MAX_ELEMENTS", 10**4)
     n = 10**4
     head = element(6, struct.pack("<II", 1, 0)) + element(5, struct.pack("<ii", 1, n)) + element(1, b"c")
     refused(matlab(tmp_path / "x.mat", head + struct.pack("<II", 14, 0) * n), "parts")

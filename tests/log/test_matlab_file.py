@@ -12,7 +12,7 @@ from raising import raises_code
 from scipy.io import savemat
 
 from tau_dyn.log import read_log
-from tau_dyn.log.matlab import read_variables
+from tau_dyn.log.lab_files.matlab import read_variables
 from tau_dyn.log.topic_columns import LONGEST_LIST
 
 N = 40

@@ -252,7 +252,7 @@ def test_small_files_cannot_ask_for_all_memory(tmp_path, monkeypatch):
             read_log(tmp_path / "bomb.mcap")
     savemat(tmp_path / "s.mat", {"s": {"v": T}})
     data = (tmp_path / "s.mat").read_bytes()
-    monkeypatch.setattr("tau_dyn.log.matlab.MAX_INFLATED_BYTES", 2**20)
+    monkeypatch.setattr("tau_dyn.log.lab_files.matlab.MAX_INFLATED_BYTES", 2**20)
     inflating = zlib.compress(b"\0" * 2**24)
     (tmp_path / "zip.mat").write_bytes(data[:128] + struct.pack("<II", 15, len(inflating)) + inflating)
     with raises_code("file_too_large", "1"):

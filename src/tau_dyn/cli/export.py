@@ -12,13 +12,15 @@ from cyclopts import Group, Parameter
 
 from tau_dyn.cli import arguments as args
 from tau_dyn.cli.execute import Outcome
+from tau_dyn.cli.export_filters import FilterOptions, write_filter
 from tau_dyn.cli.progress import show_progress
 from tau_dyn.exceptions import InputError
 
-_CODE = Group("--to c")
+_CODE = Group("--to c, shaper, notch")
 _DRIVES = Group("--to mjlab, isaaclab")
 _TRAINED = Group("--to mjlab, isaaclab, playground")
 _SENT = Group("--to reference, rapid")
+_SAMPLED = Group("--to reference, rapid, shaper, notch")
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class ExportOptions:
     samples: Annotated[Path | None, Parameter(group=_TRAINED, metavar="SAMPLES.parquet")] = None
     motion: Annotated[Path | None, Parameter(group=_SENT, metavar="MOTION.csv")] = None
     correction: Annotated[Path | None, Parameter(group=_SENT, metavar="FILE.csv")] = None
-    period: Annotated[args.Positive, Parameter(group=_SENT, metavar="S")] = 0.004
+    period: Annotated[args.Positive, Parameter(group=_SAMPLED, metavar="S")] = 0.004
     resample: Annotated[bool, Parameter(group=_SENT)] = False
     speed: Annotated[args.Positives | None, Parameter(group=_SENT, metavar="X")] = None
     acceleration: Annotated[args.Positives | None, Parameter(group=_SENT, metavar="X")] = None
@@ -83,6 +85,7 @@ class _Request:
     out: Path
     options: ExportOptions
     robot_options: args.RobotOptions = field(default_factory=args.RobotOptions)
+    filter_options: FilterOptions = field(default_factory=FilterOptions)
 
     def load_model(self):
         """Return the model; for a robot its nominal rigid body without effects."""
@@ -100,18 +103,34 @@ def export(
     model: Annotated[Path, Parameter(name="MODEL.yaml|ROBOT")],
     /,
     *,
-    to: Literal["urdf", "mjcf", "sdf", "fmu", "bam", "mjlab", "isaaclab", "playground", "c", "reference", "rapid"],
+    to: Literal[
+        "urdf",
+        "mjcf",
+        "sdf",
+        "fmu",
+        "bam",
+        "mjlab",
+        "isaaclab",
+        "playground",
+        "c",
+        "reference",
+        "rapid",
+        "shaper",
+        "notch",
+    ],
     out: Annotated[
         Path | None, args.build_destination("FILE", "By default beside the model, or here for a robot")
     ] = None,
     options: ExportOptions = ExportOptions(),
+    filter_options: FilterOptions = FilterOptions(),
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """A robot or its identified model for another program: URDF, MJCF, SDF, FMU, drives, C kinematics, references, RAPID.
+    """A robot, its model or its modes for another program: URDF, MJCF, SDF, FMU, drives, C, references, RAPID, filters.
 
     Args:
-        model: A model file of identify or diagnose; or a robot (file or short name), exported as its nominal rigid body
+        model: A model file of identify or diagnose; or a robot (file or short name), exported as its nominal rigid body;
+            for shaper and notch, a result (--json) or model of modes, or a robot with springs
         to: Format
     """
     chosen = FORMATS[to]
@@ -126,7 +145,7 @@ def export(
         raise InputError("bad_option", f"--samples goes with --to {', '.join(_TRAINERS)}, not with {to}")
     with show_progress(output.quiet) as step:
         step("writing")
-        made = chosen.make(_Request(model, to, path, options, robot_options))
+        made = chosen.make(_Request(model, to, path, options, robot_options, filter_options))
     files = (model, options.motion, options.correction, options.actuators, options.samples)
     given = [p for p in files if p is not None and p.is_file()]
     return Outcome(
@@ -333,6 +352,21 @@ def _make_rapid(request: _Request) -> Made:
     return Made({request.out: text}, said, result, (*motion.notes, *(loose if found.deviation > tolerance else ())))
 
 
+def _make_filter(request: _Request) -> Made:
+    """Return an input shaper or a notch filter in C."""
+    options = request.options
+    made = write_filter(
+        request.to,
+        request.source,
+        request.out,
+        options.period,
+        options.name,
+        request.filter_options,
+        request.robot_options,
+    )
+    return Made(made.files, made.said, made.result, made.warnings)
+
+
 @dataclass(frozen=True)
 class Format:
     """One choice of --to.
@@ -360,6 +394,8 @@ FORMATS: dict[str, Format] = {
     "c": Format(".c", _make_kinematics),
     "reference": Format(".csv", _make_reference, moves=True),
     "rapid": Format(".mod", _make_rapid, moves=True),
+    "shaper": Format(".c", _make_filter),
+    "notch": Format(".c", _make_filter),
 }
 """Choices of --to; a new format needs a line here and a word in the signature of `export`."""
 

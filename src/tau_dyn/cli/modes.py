@@ -29,6 +29,7 @@ def modes(
     delay: Annotated[str, Parameter(metavar="N")] = "auto",
     sensor: Literal["auto", "displacement", "velocity", "acceleration"] = "auto",
     collocated: Annotated[args.Strings, Parameter(metavar="INPUT:OUTPUT")] = (),
+    time_limit: Annotated[args.Positive | None, Parameter(metavar="SECONDS")] = None,
     robot: Annotated[str | None, Parameter(metavar="ROBOT")] = None,
     out: Annotated[Path | None, args.build_destination("MODEL.yaml", "Write the black-box model here")] = None,
     robot_options: args.RobotOptions = args.RobotOptions(),
@@ -37,7 +38,7 @@ def modes(
     """Resonances from vibration logs, with uncertainty; a black-box model; M, D and K if the data determine them.
 
     Args:
-        logs: CSV, Parquet, MCAP, a ROS bag or .mat with t and any columns; never joined
+        logs: CSV, Parquet, MCAP, a ROS bag, .mat or .unv with t and any columns; never joined
         inputs: Excitations; without any, operational modal analysis of the outputs (logs with other outputs are further
             set-ups, joined by the common outputs)
         outputs: Responses; if as many as inputs and in their order, they are assumed to be measured where the forces act
@@ -50,6 +51,7 @@ def modes(
             the best fit
         collocated: Pairs at the same point and in the same direction, for mass, damping and stiffness (default: inputs and
             outputs in their order, if equally many)
+        time_limit: Wall time after which no more models are tried; the best model so far is the answer
         robot: Draw the modes on this robot (outputs named x_tool, ay_plate, ...); with springs in its file also its own
             modes
     """
@@ -60,6 +62,7 @@ def modes(
         "--collocated": collocated,
         f"--method {method}": method != "auto",
         f"--delay {delay}": delay != "auto",
+        "--time-limit": time_limit is not None,
     }
     given = next((name for name, value in options.items() if value), None)
     if not inputs and given is not None:
@@ -85,6 +88,7 @@ def modes(
                 delay=delay,
                 sensor=sensor,
                 collocated=[_split_pair(pair) for pair in collocated],
+                time_limit=time_limit,
                 seed=output.seed,
                 progress=step,
             )

@@ -5,6 +5,7 @@ from .c_writer import (
     include_header as include_header,
     locate_header as locate_header,
 )
+from .command_filters import write_notch_source as write_notch_source, write_shaper_source as write_shaper_source
 from .compiler import (
     LibraryCache as LibraryCache,
     compile_library as compile_library,

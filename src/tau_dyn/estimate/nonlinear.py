@@ -153,7 +153,7 @@ class Descent(Generic[State]):
         state: The best state.
         steps: Accepted steps.
         trials: Steps tried.
-        reason: `small_step`, `small_gain`, `no_descent` (no damping led further down) or `max_steps`.
+        reason: `small_step`, `small_gain`, `no_descent` (no damping led further down) or `max_steps` (or stopped).
     """
 
     state: State
@@ -172,6 +172,7 @@ def descend(
     state: State,
     rules: DescentRules = DescentRules(),
     progress: Callable[[int, float], None] = lambda step, gain: None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> Descent[State]:
     """Minimise the cost of a problem, starting from a state.
 
@@ -180,9 +181,12 @@ def descend(
         state: Initial state.
         rules: Rules for stopping and damping.
         progress: Callback that receives the number of every accepted step and its gain.
+        stop: Called before every step; returns whether to end there, as after the last of `rules.max_steps`.
     """
     damping, idle, trials = rules.damping, 0, 0
     for steps in range(rules.max_steps):
+        if stop():
+            return Descent(state, steps, trials, "max_steps")
         system, begun = problem.linearise(state), damping
         for _ in range(rules.max_trials):
             step, size = system.step(damping)

@@ -46,11 +46,11 @@ from tau_dyn.message_codes import CodedWarning
 from tau_dyn.results import count
 
 _LOGGER = logging.getLogger(__name__)
-SUFFIXES = (".mcap", ".bag", ".db3", ".mat")
+SUFFIXES = (".mcap", ".bag", ".db3", ".mat", ".unv", ".uff")
 
 
 def has_topics(path: Path) -> bool:
-    """Return whether a path is an MCAP file, a ROS bag or a MATLAB file, by its name or, for a folder, by its content."""
+    """Return whether a path is an MCAP file, a ROS bag, a MATLAB or universal file, by its name or a folder's content."""
     return is_bag_folder(path) or (path.suffix.lower() in SUFFIXES and not path.is_dir())
 
 
@@ -58,7 +58,7 @@ def read_any(path: str | Path, wanted: Mapping[str, str] | None = None) -> Table
     """Read a log's file as a table.
 
     Args:
-        path: CSV, Parquet, MCAP, a ROS bag (its folder, too) or a MATLAB file.
+        path: CSV, Parquet, MCAP, a ROS bag (its folder, too), a MATLAB file or a universal file (UFF, UNV).
         wanted: The file's columns that a map asks for, by our names; None without a map. Text and Parquet give all columns.
 
     Raises:
@@ -74,9 +74,13 @@ def read_any(path: str | Path, wanted: Mapping[str, str] | None = None) -> Table
 
         return read_mcap(path, wanted)
     if suffix == ".mat":
-        from tau_dyn.log.matlab import read_mat
+        from tau_dyn.log.lab_files.matlab import read_mat
 
         return read_mat(path, wanted)
+    if suffix in (".unv", ".uff"):
+        from tau_dyn.log.lab_files.uff import read_uff
+
+        return read_uff(path)
     return read_bag(path, wanted)
 
 

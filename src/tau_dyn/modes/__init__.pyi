@@ -3,7 +3,7 @@
 from .actuators import Actuator as Actuator, ActuatorFit as ActuatorFit, fit_actuators as fit_actuators
 from .find import find_modes as find_modes
 from .methods import stabilise_poles as stabilise_poles
-from .modal import Z95 as Z95, Mode as Mode, StabilityPoint as StabilityPoint
+from .modal import Z95 as Z95, Mode as Mode, StabilityPoint as StabilityPoint, find_resonances as find_resonances
 from .on_robot import (
     ModePair as ModePair,
     ModeShape as ModeShape,

@@ -30,12 +30,14 @@ from tau_dyn.modes.methods import EraFactors, InitialModels
 from tau_dyn.modes.record import Record, truncate_records
 from tau_dyn.modes.refinement import refine
 from tau_dyn.modes.residuals import SIMULATED, compute_aic_bic, compute_log_det_loss, count_free_parameters
+from tau_dyn.modes.time_limit import NO_LIMIT, TimeLimit
 
 MAX_SAMPLES = 6_000  # samples that the delays are compared on
 MAX_DELAY_SAMPLES = 20  # the longest delay that is tried
 ORDERS = (2, 4, 6, 8, 12, 20, 28)  # orders tried for every delay: modes that all of them lack would look like a delay
 MAX_REFINED_ORDER = 12
 """Order up to which rivals are refined: beyond, first models are close enough for a delay, and refinement slow."""
+SCAN_SHARE = 0.3  # of a time limit after which no further delay is looked at
 COARSE = 4  # step of the first look
 CLOSE_BIC_DIFFERENCE = 100.0  # BIC within which two delays are compared by refined models
 RIVALS = 3  # delays refined at most; a scan over first models tells the others apart
@@ -65,6 +67,45 @@ class DelayChoice:
         return {"sure_by_bic": self.sure, "why": self.why, "trials": rows}
 
 
+@dataclass(frozen=True, eq=False)
+class DelayScan:
+    """Delays compared by first models.
+
+    Attributes:
+        records: What they were compared on.
+        longest: The longest delay tried; samples before it are left out for every delay.
+        found: By delay the best BIC and its order.
+    """
+
+    records: tuple[Record, ...]
+    longest: int
+    found: dict[int, tuple[float, int]]
+
+
+def scan_delays(
+    records: Sequence[Record],
+    first: Callable[[Sequence[Record], int], InitialModels],
+    *,
+    orders: Sequence[int] = ORDERS,
+    most: int = MAX_DELAY_SAMPLES,
+    progress: Callable[[str], None] | None = None,
+    limit: TimeLimit = NO_LIMIT,
+) -> DelayScan:
+    """Compare delays by first models of several orders; see `choose_delay` for the arguments.
+
+    Raises:
+        CannotAnswer: No delay gives a model.
+    """
+    few = truncate_records(records, MAX_SAMPLES)
+    most = min(most, min(r.n_samples for r in few) // 20)
+    found = _scan(few, first, orders, most, progress or (lambda step: None), limit)
+    if not found:
+        raise CannotAnswer(
+            "no_solution", "no model follows from these data", "a longer log, with more excitation against the noise"
+        )
+    return DelayScan(tuple(few), most, found)
+
+
 def choose_delay(
     records: Sequence[Record],
     first: Callable[[Sequence[Record], int], InitialModels],
@@ -74,6 +115,8 @@ def choose_delay(
     most: int = MAX_DELAY_SAMPLES,
     least_gain: float = 0.0,
     progress: Callable[[str], None] | None = None,
+    scan: DelayScan | None = None,
+    limit: TimeLimit = NO_LIMIT,
 ) -> DelayChoice:
     """Choose the delay.
 
@@ -86,20 +129,17 @@ def choose_delay(
         least_gain: Share by which a delay that spares no states must lower the errors to be preferred; 0 trusts BIC.
             A true delay spares the states that would stand for it; missing modes can look like a delay to BIC too.
         progress: Told what is done.
+        scan: The comparison of the same records by first models, where it is known.
+        limit: Leaves rivals unrefined once it is over.
 
     Raises:
         CannotAnswer: No delay gives a model.
     """
-    few = truncate_records(records, MAX_SAMPLES)
-    most = min(most, min(r.n_samples for r in few) // 20)
-    found, firsts = _scan(few, first, orders, most, progress or (lambda step: None))
-    if not found:
-        raise CannotAnswer(
-            "no_solution", "no model follows from these data", "a longer log, with more excitation against the noise"
-        )
+    scan = scan or scan_delays(records, first, orders=orders, most=most, progress=progress, limit=limit)
+    few, most, found = scan.records, scan.longest, scan.found
 
     def refined(d: int, order: int) -> float:
-        return _refined(few, firsts[d], d, order, kind, most)
+        return _refined(few, first(few, d), d, order, kind, most)
 
     ranked = sorted((bic, d) for d, (bic, _) in found.items())
     lowest, best = ranked[0]
@@ -109,21 +149,25 @@ def choose_delay(
         room, after = -2 * n * float(np.log1p(-least_gain)), refined(best, order)
         for d in sorted(d for d, gap in gaps.items() if d < best and gap <= room):
             if refined(d, order) <= after + room:
-                scan, sure = _summarise(d, found, gaps)
+                rows, sure = _summarise(d, found, gaps)
                 what = f"{_samples(d)} of delay are enough" if d else "no delay is needed"
                 why = f"{what}: a longer one would spare no states and lower the errors by little"
-                return DelayChoice(d, scan, sure, why)
+                return DelayChoice(d, rows, sure, why)
     close = [d for bic, d in ranked if bic < lowest + CLOSE_BIC_DIFFERENCE][:RIVALS]
-    if len(close) > 1 and order <= MAX_REFINED_ORDER:
+    if (
+        len(close) > 1
+        and order <= MAX_REFINED_ORDER
+        and not limit.is_over("refined models of close delays", SCAN_SHARE)
+    ):
         after = {d: bic for d in close if np.isfinite(bic := refined(d, order))}
         if after:
             best = min(after, key=lambda d: (after[d], d))
             gaps |= {d: bic - after[best] for d, bic in after.items()}
-    scan, sure = _summarise(best, found, gaps)
+    rows, sure = _summarise(best, found, gaps)
     what = f"a delay of {_samples(best)} explains the data best" if best else "no delay fits best"
     behind = f"the next is only {sure:.1f} behind in BIC"
     how = "any other is out of the question" if sure > DECISIVE_BIC_DIFFERENCE else behind
-    return DelayChoice(best, scan, sure, f"{what}; {how}")
+    return DelayChoice(best, rows, sure, f"{what}; {how}")
 
 
 def _summarise(
@@ -144,29 +188,31 @@ def _scan(
     orders: Sequence[int],
     most: int,
     say: Callable[[str], None],
-) -> tuple[dict[int, tuple[float, int]], dict[int, InitialModels]]:
-    """Return by delay the best BIC and its order, and the first models: a coarse look, then the neighbours of the best."""
+    limit: TimeLimit,
+) -> dict[int, tuple[float, int]]:
+    """Return by delay the best BIC and its order: a coarse look, then the neighbours of the best."""
     found: dict[int, tuple[float, int]] = {}
-    firsts: dict[int, InitialModels] = {}
     wanted, tried = list(range(0, most + 1, COARSE)), set[int]()
     while wanted:
         tried.update(wanted)  # those that give no model, too, or they would be tried for ever
         for d in wanted:
+            if found and limit.is_over("further delays", SCAN_SHARE):
+                return found
             say(f"delay {d}")
             try:
-                firsts[d] = first(records, d)
+                models = first(records, d)
             except TauDynError:
                 continue
             for order in orders:
                 try:
-                    bic = _linear_bic(firsts[d].poles(order), records, d, most)
+                    bic = _linear_bic(models.poles(order), records, d, most)
                 except (TauDynError, np.linalg.LinAlgError):
                     continue
                 if np.isfinite(bic) and (d not in found or bic < found[d][0]):
                     found[d] = (bic, order)
         best = min(found, key=lambda d: found[d], default=0)
         wanted = [d for d in (best - 2, best - 1, best + 1, best + 2) if 0 <= d <= most and d not in tried and found]
-    return found, firsts
+    return found
 
 
 def _linear_bic(values: np.ndarray, records: Sequence[Record], delay: int, skip: int) -> float:

@@ -93,7 +93,7 @@ def detect_feedback(records: Sequence[Record]) -> Feedback:
     lags = max(L for L in LAGS if L == LAGS[0] or _affordable(few, L))
     innovations = _innovations(few, lags)
     few = [r.window(slice(0, r.n_samples - LEADS)) for r in few]
-    found = [_answers(few, innovations, lags, j) for j in range(few[0].u.shape[1])]
+    found = _answers(few, innovations, lags)
     j = int(np.argmin([p if share > MIN_VARIANCE_SHARE else 1.0 for p, share, _ in found]))
     p = min(1.0, found[j][0] * len(found))
     share, new = found[j][1:]
@@ -129,25 +129,30 @@ def _innovations(records: Sequence[Record], lags: int) -> list[np.ndarray]:
     return np.split(left, np.cumsum([len(y) for y in ys])[:-1])
 
 
-def _answers(records: Sequence[Record], innovations: list[np.ndarray], lags: int, j: int) -> tuple[float, float, float]:
-    """Return the p-value, and the share of the input's variance, and of its own news, that past innovations foretell."""
+def _answers(records: Sequence[Record], innovations: list[np.ndarray], lags: int) -> list[tuple[float, float, float]]:
+    """Return by input the p-value, and the share of its variance, and of its own news, that past innovations foretell."""
     own, extra, target = [], [], []
     for r, e in zip(records, innovations, strict=True):
         start = r.n_samples - len(e) + lags  # first sample with `lags` innovations behind it
         own.append(stack_lags(r.u, lags)[start - lags :])
         extra.append(stack_lags(e, lags))
-        target.append(r.u[start:, j])
-    a, b, u = np.vstack(own), np.vstack(extra), np.concatenate(target)
+        target.append(r.u[start:])
+    a, b, inputs = np.vstack(own), np.vstack(extra), np.vstack(target)
     base = _orthonormal(a)
-    u1, b1 = u - base @ (base.T @ u), b - base @ (base.T @ b)
-    more = _orthonormal(b1)
-    gained, left = float(np.sum((more.T @ u1) ** 2)), float(u1 @ u1)
-    free = len(u) - base.shape[1] - more.shape[1]
-    if free < 10 or left <= 1e-18 * float(u @ u):
-        return 1.0, 0.0, 0.0
-    excess = max(gained - (left - gained) * more.shape[1] / free, 0.0)  # chance alone gains something too
-    statistic = gained / more.shape[1] / max((left - gained) / free, 1e-300)
-    return float(fisher.sf(statistic, more.shape[1], free)), excess / float(u @ u), excess / left
+    more = _orthonormal(b - base @ (base.T @ b))
+    free = len(inputs) - base.shape[1] - more.shape[1]
+    found = []
+    for u in inputs.T:
+        u1 = u - base @ (base.T @ u)
+        gained, left = float(np.sum((more.T @ u1) ** 2)), float(u1 @ u1)
+        if free < 10 or left <= 1e-18 * float(u @ u):
+            found.append((1.0, 0.0, 0.0))
+            continue
+        excess = max(gained - (left - gained) * more.shape[1] / free, 0.0)  # chance alone gains something too
+        statistic = gained / more.shape[1] / max((left - gained) / free, 1e-300)
+        p_value = float(fisher.sf(statistic, more.shape[1], free))
+        found.append((p_value, excess / float(u @ u), excess / left))
+    return found
 
 
 def _orthonormal(x: np.ndarray) -> np.ndarray:

@@ -21,7 +21,15 @@ import numpy as np
 from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
 from tau_dyn.log import Log
 from tau_dyn.modes.contact import window_forces
-from tau_dyn.modes.delay import MAX_DELAY_SAMPLES, ORDERS, DelayChoice, choose_delay, find_response_onset
+from tau_dyn.modes.delay import (
+    MAX_DELAY_SAMPLES,
+    ORDERS,
+    DelayChoice,
+    DelayScan,
+    choose_delay,
+    find_response_onset,
+    scan_delays,
+)
 from tau_dyn.modes.feedback_tests import (
     ACAUSALITY_SIGNIFICANCE_LEVEL,
     Acausality,
@@ -29,15 +37,32 @@ from tau_dyn.modes.feedback_tests import (
     detect_feedback,
     find_acausality,
 )
-from tau_dyn.modes.methods import METHODS, build_initial_estimator, decompose_pulse_tests, estimate_first_poles
+from tau_dyn.modes.methods import (
+    METHODS,
+    InitialModels,
+    Start,
+    build_initial_estimator,
+    decompose_pulse_tests,
+    estimate_first_poles,
+)
 from tau_dyn.modes.modal import widen_modes
-from tau_dyn.modes.order import MANY_NUMBERS, TOLERANCE, OrderChoice, choose_order, read_whole_number, select_parts
-from tau_dyn.modes.record import PreparedRecords, prepare_records
+from tau_dyn.modes.order import (
+    MANY_NUMBERS,
+    NEIGHBOURS,
+    TOLERANCE,
+    OrderChoice,
+    add_standard_errors,
+    choose_order,
+    read_whole_number,
+    select_parts,
+)
+from tau_dyn.modes.record import PreparedRecords, Record, prepare_records
 from tau_dyn.modes.refinement import RefinedModel, refine, refine_predictor
 from tau_dyn.modes.residuals import PREDICTED, SIMULATED, compute_mean_squares, compute_residuals
 from tau_dyn.modes.result import Modes
 from tau_dyn.modes.sensors import find_sensor_kind
 from tau_dyn.modes.state_space import StateSpace, delay_inputs
+from tau_dyn.modes.time_limit import TimeLimit
 from tau_dyn.modes.validation import validate_model
 
 MAX_REQUESTED_ORDER = 200  # states; a dense model of more takes minutes and tells noise
@@ -46,8 +71,6 @@ PULSE_GAIN = 0.1  # share by which a delay must lower what pulse tests leave, to
 MAX_ROUNDS, FEW_ROUNDS = 40, 15
 """Rounds of refinement; few for models of many free numbers, which begin at a refined trial, and for pulse tests, which can
 hold more modes than a model and then creep."""
-NEIGHBOURS = 4
-"""States by which a model may differ, whose modes standard errors have to allow for if it simulates as well."""
 POSSIBLE = 0.2  # p-value below which feedback cannot be excluded, and standard errors allow for it
 MAX_LOOP_GAIN = 10.0  # loop gains beyond it are rare within a resonance, and the number would say nothing
 WORST_RATIO = 1.15
@@ -72,6 +95,7 @@ def find_modes(
     delay: str | int = "auto",
     sensor: str = "auto",
     collocated: Sequence[tuple[str, str]] = (),
+    time_limit: float | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Modes:
@@ -90,6 +114,8 @@ def find_modes(
             fit of M, D, K where those do not tell. Accelerations in g are named so (`acc1_g`).
         collocated: Pairs of an input and an output at one place and in one direction; where none are given and there are
             as many outputs as inputs, each input and the output of its rank.
+        time_limit: Wall time [s] after which nothing more is tried; the best model so far is the answer, and the warning
+            `time_limit` names what was left out. One model is always fitted and judged, which may last longer.
         seed: Kept with the result; nothing here is random.
         progress: Told what is done.
 
@@ -106,7 +132,7 @@ def find_modes(
         >>> round(found.modes[0].frequency_hz, 2)
         8.0
     """
-    say = progress or (lambda step: None)
+    say, limit = progress or (lambda step: None), TimeLimit(time_limit)
     asked = read_whole_number("order", order, 1, MAX_REQUESTED_ORDER, f"states from 1 to {MAX_REQUESTED_ORDER}")
     fixed = read_whole_number("delay", delay, 0, MAX_REQUESTED_DELAY, "samples from 0 up")
     if method not in ("auto", *METHODS):
@@ -124,13 +150,24 @@ def find_modes(
     feedback = Feedback(False, 1.0, 0.0, "pulses answer to nothing") if pulses else detect_feedback(data.train)
     first, why = _choose_first_method(method, data, feedback)
 
+    starts: dict[tuple[str, int], Start] = {}  # by method and delay: what is compared shares its first models
+    scans: list[DelayScan] = []
+
     def attempt(name: str, kind: str) -> MethodCandidate:
-        late = _choose_delay(data, name, kind, asked, fixed, measured.kind, say)
-        start = partial(build_initial_estimator, name, delay=late.delay, highest=max(20, asked or 0))
-        states = choose_order(data.train, start, kind=kind, asked=asked, pulses=pulses, progress=say)
+        late = _choose_delay(data, name, kind, asked, fixed, measured.kind, say, scans, limit)
+
+        def start(records: Sequence[Record]) -> Start:
+            if (name, late.delay) not in starts:
+                made = build_initial_estimator(name, records, delay=late.delay, highest=max(20, asked or 0))
+                starts[name, late.delay] = made
+            return starts[name, late.delay]
+
+        states = choose_order(data.train, start, kind=kind, asked=asked, pulses=pulses, progress=say, limit=limit)
         return MethodCandidate(name, kind, late, states)
 
     def attempt_predicted(name: str) -> MethodCandidate | None:
+        if limit.is_over(f"{name} with prediction errors"):
+            return None
         say(f"trying {name} with prediction errors")
         try:
             return attempt(name, PREDICTED)
@@ -143,18 +180,21 @@ def find_modes(
         best, more = choose_error_kind(best, data, lambda: attempt_predicted("n4sid"))
         why += more
 
+    best = replace(best, states=add_standard_errors(best.states))
     say(f"refining order {best.states.order}")
-    refined, how = _refine_best(data, best, alone=method != "auto")
+    refined, how = _refine_best(data, best, limit, alone=method != "auto")
     say("fitting all data")
-    final, whole = _refit(refined, data, best)
-    final = _widen(final, refined, data, best, feedback)
+    final, whole = _refit(refined, data, best, limit)
+    final = _widen(final, refined, data, best, feedback, limit)
     say("judging")
     found = validate_model(
         refined, data, feedback, best.late, best.states, final=final, sensor=measured, collocated=places
     )
     reasons = {"method": why, "delay": best.late.why, "order": best.states.why, "refinement": f"{how}; {whole}"}
     reasons |= {"forces": forces} if forces else {}
-    return replace(found, method=best.method, why=reasons, seed=seed)
+    return replace(
+        found, method=best.method, why=reasons, seed=seed, warnings=(*found.warnings, *limit.list_warnings())
+    )
 
 
 def _places(
@@ -201,8 +241,17 @@ def _choose_first_method(method: str, data: PreparedRecords, feedback: Feedback)
 
 
 def _choose_delay(
-    data: PreparedRecords, method: str, kind: str, asked: int | None, fixed: int | None, sensor: str, say: Progress
+    data: PreparedRecords,
+    method: str,
+    kind: str,
+    asked: int | None,
+    fixed: int | None,
+    sensor: str,
+    say: Progress,
+    scans: list[DelayScan],
+    limit: TimeLimit,
 ) -> DelayChoice:
+    """Return the delay; the scan over first models, the same for every method, is kept in `scans`."""
     if fixed is not None:
         return DelayChoice(fixed, (), float("nan"), f"a delay of {fixed} samples was asked for")
     orders = ORDERS if asked is None else sorted({o for o in ORDERS if o < asked} | {min(asked, 20)})
@@ -210,14 +259,20 @@ def _choose_delay(
     most = MAX_DELAY_SAMPLES
     if decays is not None:  # what does not answer to a force within the sample, answers one sample after the delay
         most = max(0, find_response_onset(data.train, decays, MAX_DELAY_SAMPLES) - (sensor != "acceleration"))
+
+    def look(records: Sequence[Record], d: int) -> InitialModels:
+        return estimate_first_poles(method, records, delay=d, decays=decays)
+
+    if not scans:
+        scans.append(scan_delays(data.train, look, orders=orders, most=most, progress=say, limit=limit))
     return choose_delay(
         data.train,
-        lambda records, d: estimate_first_poles(method, records, delay=d, decays=decays),
+        look,
         kind=kind,
-        orders=orders,
-        most=most,
         least_gain=0.0 if decays is None else PULSE_GAIN,
         progress=say,
+        scan=scans[0],
+        limit=limit,
     )
 
 
@@ -335,7 +390,9 @@ def choose_error_kind(
     return other, f"; minimising prediction errors leaves {ratio:.2g} times the error in simulation, so it is minimised"
 
 
-def _refine_best(data: PreparedRecords, best: MethodCandidate, *, alone: bool) -> tuple[RefinedModel, str]:
+def _refine_best(
+    data: PreparedRecords, best: MethodCandidate, limit: TimeLimit, *, alone: bool
+) -> tuple[RefinedModel, str]:
     """Return the most likely model of the order, and how it was had; further starts are tried where one does not converge."""
     method, delay, order, taken = best.method, best.late.delay, best.states.order, best.states.taken
 
@@ -351,12 +408,21 @@ def _refine_best(data: PreparedRecords, best: MethodCandidate, *, alone: bool) -
     if taken is None or rounds > FEW_ROUNDS:
         alone = alone or best.kind == PREDICTED or rounds == FEW_ROUNDS
         names = (method,) if alone else dict.fromkeys((method, "n4sid", "arx"))
-        starts += [(name, partial(begin, name)) for name in names]
+        # a refined trial began where its method does
+        starts += [(name, partial(begin, name)) for name in names if taken is None or alone or name != method]
     found: list[tuple[float, str, RefinedModel]] = []
     fault: Exception | None = None
     for name, start in starts:
+        if found and limit.is_over("refinement from other first models"):
+            break
         try:
-            made = refine(start(), data.train, kind=best.kind, maximum_rounds=rounds)
+            made = refine(
+                start(),
+                data.train,
+                kind=best.kind,
+                maximum_rounds=rounds,
+                stop=lambda: limit.is_over("more rounds of refinement"),
+            )
         except (TauDynError, np.linalg.LinAlgError) as failed:
             fault = failed
             continue
@@ -388,10 +454,14 @@ def _count_rounds(data: PreparedRecords, order: int) -> int:
     return FEW_ROUNDS if data.kind == "impulse" or order * width > MANY_NUMBERS else MAX_ROUNDS
 
 
-def _refit(refined: RefinedModel, data: PreparedRecords, best: MethodCandidate) -> tuple[RefinedModel, str]:
+def _refit(
+    refined: RefinedModel, data: PreparedRecords, best: MethodCandidate, limit: TimeLimit
+) -> tuple[RefinedModel, str]:
     """Return the model fitted to all data, held-out ones included, and what was done; the one given where that fails."""
     if not data.whole or not data.holdout:
         return refined, "nothing was left to add"
+    if limit.is_over("a fit to all data"):
+        return refined, "the model is that of the training data"
     plain = best.states.taken is not None and best.states.taken.plain
     rounds = 0 if plain else _count_rounds(data, refined.model.order)
     try:
@@ -404,7 +474,12 @@ def _refit(refined: RefinedModel, data: PreparedRecords, best: MethodCandidate) 
 
 
 def _widen(
-    final: RefinedModel, refined: RefinedModel, data: PreparedRecords, best: MethodCandidate, feedback: Feedback
+    final: RefinedModel,
+    refined: RefinedModel,
+    data: PreparedRecords,
+    best: MethodCandidate,
+    feedback: Feedback,
+    limit: TimeLimit,
 ) -> RefinedModel:
     """Return the model with standard errors that allow for missing modes, and for feedback where it is possible."""
     pairs, taken = [], best.states.taken
@@ -413,7 +488,8 @@ def _widen(
             t for t in best.states.refined if 0 < abs(t.order - taken.order) <= NEIGHBOURS and t.behind <= TOLERANCE
         ]
         pairs = [(taken.modes, t.modes) for t in others]
-    if feedback.possible and best.kind == SIMULATED:
+    alone = "standard errors that allow for feedback"
+    if feedback.possible and best.kind == SIMULATED and not limit.is_over(alone):
         try:
             pairs.append((refined.modes, refine_predictor(refined, data.train).modes))
         except (TauDynError, np.linalg.LinAlgError):

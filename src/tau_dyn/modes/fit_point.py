@@ -52,6 +52,7 @@ def build_columns(form: ModalForm, x0: np.ndarray, record: Record, chunk: int = 
     """
     k, m = len(form.poles), form.D.shape[1]
     filtered = np.zeros((k, m), dtype=complex)  # the states at the first sample of the chunk
+    moves = form.b.any(axis=1) | (x0 != 0)
     free, slope = np.ones(k, dtype=complex), np.zeros(k, dtype=complex)
     for start in range(0, record.n_samples, chunk):
         u = record.u[start : start + chunk]
@@ -64,8 +65,9 @@ def build_columns(form: ModalForm, x0: np.ndarray, record: Record, chunk: int = 
                 X[:, i, m] = _without_dust(response[:, 0])
                 free[i] = _without_dust(free[i])
             xi = X[:, i, :m] @ form.b[i] + x0[i] * X[:, i, m]
-            sensitivity, slope[i : i + 1] = _states(pole, xi[:, None], slope[i : i + 1])
-            X[:, i, m + 1] = _without_dust(sensitivity[:, 0])
+            if moves[i]:
+                sensitivity, slope[i : i + 1] = _states(pole, xi[:, None], slope[i : i + 1])
+                X[:, i, m + 1] = _without_dust(sensitivity[:, 0])
         xi = np.einsum("tkm,km->tk", X[:, :, :m], form.b) + X[:, :, m] * x0
         predicted = xi.real @ form.c.T.real - xi.imag @ form.c.T.imag + u @ form.D.T
         flat = X.reshape(n, k * (m + 2))
@@ -143,7 +145,7 @@ FLOOR = 1e-13  # errors below this part of the outputs' power are rounding
 
 
 @dataclass(frozen=True, eq=False)
-class FitPoint:
+class FittedForm:
     """A model with the initial states of all records, and how it fits.
 
     Attributes:
@@ -151,8 +153,6 @@ class FitPoint:
         x0: Modal states at each record's first sample (R, k) complex.
         squares: sum_t e e' (p, p).
         n_samples: Samples in all.
-        grams: For every record columns' columns (q, q).
-        cross: For every record columns' e (q, p).
         power: Mean square of each output (p,).
     """
 
@@ -160,8 +160,6 @@ class FitPoint:
     x0: np.ndarray
     squares: np.ndarray
     n_samples: int
-    grams: tuple[np.ndarray, ...]
-    cross: tuple[np.ndarray, ...]
     power: np.ndarray
 
     @property
@@ -176,6 +174,19 @@ class FitPoint:
             return np.inf
         sign, value = np.linalg.slogdet(self.covariance)
         return float(value) if sign > 0 else np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class FitPoint(FittedForm):
+    """The same, with the products that steps follow from.
+
+    Attributes:
+        grams: For every record columns' columns (q, q).
+        cross: For every record columns' e (q, p).
+    """
+
+    grams: tuple[np.ndarray, ...]
+    cross: tuple[np.ndarray, ...]
 
 
 def evaluate(form: ModalForm, x0: np.ndarray, records: Sequence[Record]) -> FitPoint:
@@ -195,7 +206,7 @@ def evaluate(form: ModalForm, x0: np.ndarray, records: Sequence[Record]) -> FitP
             grams[together] += turned @ real
             cross[together] += turned @ error
     n = sum(record.n_samples for record in records)
-    return FitPoint(form, x0, squares, n, tuple(grams), tuple(cross), power / n)
+    return FitPoint(form, x0, squares, n, power / n, tuple(grams), tuple(cross))
 
 
 Walk = Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]
@@ -232,7 +243,8 @@ def _walk_together(form: ModalForm, x0: np.ndarray, records: Sequence[Record]) -
         X[:, :, i, :m] = _states(pole, u.reshape(n, -1), np.zeros(R * m, dtype=complex))[0].reshape(n, R, m)
         X[:, :, i, m] = _without_dust(_states(pole, np.zeros((n, 1)), np.ones(1, dtype=complex))[0])
         xi = X[:, :, i, :m] @ form.b[i] + x0[:, i] * X[:, :, i, m]
-        X[:, :, i, m + 1] = _without_dust(_states(pole, xi, np.zeros(R, dtype=complex))[0])
+        if xi.any():
+            X[:, :, i, m + 1] = _without_dust(_states(pole, xi, np.zeros(R, dtype=complex))[0])
     X[ended] = 0.0
     xi = np.einsum("trkm,km->trk", X[:, :, :, :m], form.b) + X[:, :, :, m] * x0
     predicted = xi.real @ form.c.T.real - xi.imag @ form.c.T.imag + u @ form.D.T
@@ -324,7 +336,7 @@ def apply_step(point: FitPoint, step: np.ndarray) -> tuple[ModalForm, np.ndarray
 OUTERMOST = 1 - 1e-7  # a pole estimated on or outside the unit circle is put here
 
 
-def fit_input_matrices(A: np.ndarray, C: np.ndarray, records: Sequence[Record], direct: bool | None) -> FitPoint:
+def fit_input_matrices(A: np.ndarray, C: np.ndarray, records: Sequence[Record], direct: bool | None) -> FittedForm:
     """Return the modal form of A, C with the B, D and initial states that fit records (aligned and scaled) best.
 
     Args:
@@ -344,16 +356,34 @@ def fit_input_matrices(A: np.ndarray, C: np.ndarray, records: Sequence[Record], 
     return whole if gain > p * m * np.log(whole.n_samples) else without
 
 
-def solve_input_matrices(point: FitPoint, records: Sequence[Record], direct: np.ndarray | bool) -> FitPoint:
-    """Return the point with its B, D and initial states, and nothing else, fitted anew."""
+def solve_input_matrices(point: FitPoint, records: Sequence[Record], direct: np.ndarray | bool) -> FittedForm:
+    """Return the form of a point with its B, D and initial states, and nothing else, fitted anew.
+
+    The problem is linear, so that the point's products serve twice; the second solution weighs the outputs by their errors.
+    """
     layout = build_layout(point.form)
     free = free_numbers(point.form, np.asarray(direct))
     free[layout.pole], free[layout.c] = False, False
-    weight = np.diag(1 / np.maximum(point.power, 1e-300))
-    for _ in range(2):  # the problem is linear; the second pass weighs the outputs by their errors
-        form, x0 = apply_step(point, assemble_normal_equations(point, free, weight).solve())
-        point, weight = evaluate(form, x0, records), None
-    return point
+    fitted = _step_to(point, records, free, np.diag(1 / np.maximum(point.power, 1e-300)))
+    if len(fitted.power) == 1:  # a single output has nothing to be weighed against
+        return fitted
+    return _step_to(point, records, free, np.linalg.inv(fitted.covariance))
+
+
+def _step_to(point: FitPoint, records: Sequence[Record], free: np.ndarray, weight: np.ndarray) -> FittedForm:
+    """Return the form after the whole step in some numbers, and the covariance of what it leaves of the records."""
+    form, x0 = apply_step(point, assemble_normal_equations(point, free, weight).solve())
+    errors = [record.y - simulate_form(form, x, record) for x, record in zip(x0, records, strict=True)]
+    return FittedForm(form, x0, np.sum([e.T @ e for e in errors], axis=0), point.n_samples, point.power)
+
+
+def simulate_form(form: ModalForm, x0: np.ndarray, record: Record) -> np.ndarray:
+    """Return the outputs (N, p) of a modal form from its modal states at the first sample (k,) complex."""
+    out = record.u @ form.D.T
+    for pole, b, c, first in zip(form.poles, form.b, form.c.T, x0, strict=True):
+        xi = _states(pole, (record.u @ b)[:, None], np.array([first]))[0]
+        out += xi.real * c.real - xi.imag * c.imag
+    return out
 
 
 def mirror_unstable_poles(form: ModalForm) -> ModalForm:

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import LinAlgWarning, qr
 
 from tau_dyn.estimate import Descent, DescentRules, descend
-from tau_dyn.modes.fit_point import FitPoint, NormalEquations, assemble_normal_equations, evaluate
+from tau_dyn.modes.fit_point import FitPoint, FittedForm, NormalEquations, assemble_normal_equations, evaluate
 from tau_dyn.modes.modal_form import ModalForm, build_layout, build_modal_form_with_coordinates, free_numbers
 from tau_dyn.modes.record import Record
 from tau_dyn.modes.state_space import StateSpace, compute_gramians, compute_root
@@ -37,11 +37,12 @@ _ROUNDING = 1e-14  # of a Gramian's largest eigenvalue
 
 
 def minimise(
-    point: FitPoint,
+    point: FittedForm,
     records: Sequence[Record],
     direct: np.ndarray,
     maximum_rounds: int,
     allowed: Callable[[ModalForm], bool] = lambda form: True,
+    stop: Callable[[], bool] = lambda: False,
 ) -> Descent[FitPoint]:
     """Walk down from a point; steps are counted without a last small one.
 
@@ -51,10 +52,11 @@ def minimise(
         direct: Which entries of D are free (p, m).
         maximum_rounds: Most accepted steps.
         allowed: Says whether a model may be visited at all.
+        stop: Asked before every step whether to end there.
     """
     model = balance_model(append_initial_states(point))
     start = _Visit(model, evaluate(*split_initial_states(model, direct.shape[1]), records))
-    end = descend(_Descending(records, direct, allowed), start, replace(RULES, max_steps=maximum_rounds))
+    end = descend(_Descending(records, direct, allowed), start, replace(RULES, max_steps=maximum_rounds), stop=stop)
     assert end.state.point is not None
     return Descent(end.state.point, end.steps - (end.reason == "small_step"), end.trials, end.reason)
 
@@ -148,7 +150,7 @@ def compute_tangent(model: StateSpace, point: FitPoint, normal: NormalEquations)
     return Tangent(values, vectors.T @ (back.T @ normal.g), U[:, keep] @ vectors)
 
 
-def append_initial_states(point: FitPoint) -> StateSpace:
+def append_initial_states(point: FittedForm) -> StateSpace:
     """Return a point's model with one more input for each record: its initial state as a column of B."""
     form, no_direct = point.form, np.zeros((len(point.form.D), len(point.x0)))
     wide = replace(form, b=np.hstack([form.b, point.x0.T]), D=np.hstack([form.D, no_direct]))

@@ -64,6 +64,10 @@ class ModalForm:
             i += 2 if pair else 1
         return StateSpace(A, B, C, self.D, np.zeros((n, p)), self.dt, self.delay)
 
+    def unscaled(self, scales: Scales) -> ModalForm:
+        """Return it in the records' own units, given that of records divided by their scales."""
+        return replace(self, c=scales.y[:, None] * self.c, b=self.b / scales.u, D=scales.y[:, None] * self.D / scales.u)
+
     def normalised(self) -> ModalForm:
         """Return it with the largest entry of every output shape equal to 1."""
         factor = self.c[self.pivots, np.arange(len(self.poles))]

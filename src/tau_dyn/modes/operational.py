@@ -7,7 +7,7 @@ Under unknown forces that are white over the band of interest, the correlations 
 so that the left singular vectors of the block-Hankel matrix H give A and C. Modes at the same place in the models of most
 orders belong to the structure; what noise makes of spare states wanders. Standard errors are those of the delete-one-block
 jackknife of the correlations, to first order the covariance propagation of Reynders, Pintelon & De Roeck 2008 and Döhler &
-Mevel 2013. References: Peeters & De Roeck 1999 (SSI-cov); Efron & Stein 1981.
+Mevel 2013, and what models of other orders differ by. References: Peeters & De Roeck 1999 (SSI-cov); Efron & Stein 1981.
 
 A sensor that moves on makes several set-ups, which share outputs that stay in their places (references). Each set-up gives modes
 of its own; the same mode of all has the mean of its frequencies and damping ratios, each weighed by its covariance, and a shape
@@ -18,7 +18,7 @@ be excited alike. Reference: Reynders, Magalhães, De Roeck & Cunha 2009 (PoSER 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -349,7 +349,8 @@ def _median(chain: Sequence[tuple[int, Mode]]) -> np.ndarray:
 def _take(chain: Sequence[tuple[int, Mode]]) -> Mode:
     """Return a mode as the lowest order has it that agrees with the median of all orders within a standard error.
 
-    Spare states add scatter, too few states bias.
+    Spare states add scatter, too few states bias. No order is known to be right, so the mean square difference of the other
+    orders from the one taken adds to the jackknife's variance.
     """
     f, z, sf, sz = _median(chain)
 
@@ -357,7 +358,12 @@ def _take(chain: Sequence[tuple[int, Mode]]) -> Mode:
         return max(abs(m.frequency_hz - f) / sf, abs(m.damping_ratio - z) / sz, m.damping_stderr / sz - 1)
 
     modes = [m for _, m in chain]
-    return next((m for m in modes if away(m) <= 1), min(modes, key=away))
+    taken = next((m for m in modes if away(m) <= 1), min(modes, key=away))
+    own = np.array([taken.frequency_stderr, taken.damping_stderr])
+    apart = np.array([(m.frequency_hz - taken.frequency_hz, m.damping_ratio - taken.damping_ratio) for m in modes])
+    wide = np.sqrt(own**2 + np.mean(apart**2, axis=0))
+    kept = taken.correlation * float(own.prod() / max(wide.prod(), 1e-300))
+    return replace(taken, frequency_stderr=float(wide[0]), damping_stderr=float(wide[1]), correlation=kept)
 
 
 def _same(a: Mode, b: Mode) -> bool:

@@ -1,8 +1,8 @@
 """How many states: no single number says it, so several are looked at together.
 
-One factorisation of three quarters of the training data gives first models of all orders up to a high one; each simulates the
-last quarter (the held-out data stay out of it). Near the one that does best, models are refined and compared again, until the
-neighbours of the leading order are known. Among the refined and stable ones,
+One factorisation of three quarters of the training data gives first models of any order up to a high one; some orders simulate
+the last quarter (the held-out data stay out of it), in steps that are halved below the smallest one that is enough. Near that
+one, models are refined and compared again, until the neighbours of the leading order are known. Among the refined and stable,
 
 1. the smallest order that simulates that quarter as well as the best, within two standard errors of paired blocks, is taken;
 2. where BIC asks for more states, they are granted if they do not simulate worse and what is left is white, which is what BIC
@@ -15,7 +15,7 @@ Hannan & Deistler 1988 on what the criteria can and cannot tell.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,7 +25,7 @@ from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
 from tau_dyn.modes.methods import Start
 from tau_dyn.modes.modal import Mode, find_resonances
 from tau_dyn.modes.record import Record, split_pulses, truncate_records
-from tau_dyn.modes.refinement import refine
+from tau_dyn.modes.refinement import RefinementPath, descend_to_fit
 from tau_dyn.modes.residuals import (
     SIMULATED,
     check_whiteness,
@@ -38,6 +38,7 @@ from tau_dyn.modes.residuals import (
     measure_spread,
 )
 from tau_dyn.modes.state_space import StateSpace
+from tau_dyn.modes.time_limit import NO_LIMIT, TimeLimit
 from tau_dyn.results import Brief
 
 SELECT_SHARE = 0.25  # of the training data on which orders are compared
@@ -46,8 +47,12 @@ PULSE = 500  # samples of each pulse that are kept in any case
 MAX_ORDER = 60  # highest order that is looked at unless one is asked for: thirty modes in the band of one test
 MAX_PREDICTED_ORDER = 24
 """The same where one-step predictions are compared, whose first models cost a factorisation each."""
+SCAN_SHARE = 0.6  # of a time limit after which no further first model is looked at
+COARSE_RATIO = 1.3  # of an order to the one before it in the first look at orders above the small ones
 SMALL = 8  # up to this order all even ones below are refined, which costs little and fills the stabilisation diagram
 BEYOND = 4  # orders that are refined above the leading one: a diagram needs them, a choice does not
+NEIGHBOURS = 4
+"""States by which a model may differ, whose modes standard errors have to allow for if it simulates as well."""
 MAX_REFINED_MODELS = 14
 """Models that are refined to compare orders; a walk that has not ended by then stays where it is."""
 MANY_NUMBERS = 100
@@ -74,10 +79,11 @@ class OrderTrial:
         behind: Standard errors by which its errors there exceed the best ones; 0 for the best.
         stable: Whether all poles lie inside the unit circle.
         white: Whether what it leaves is white.
-        modes: Its modes, with standard errors.
+        modes: Its modes, with standard errors near the order taken (`add_standard_errors`).
         model: The model itself.
         refined: Whether it was refined; first models are shown, but not chosen from.
         plain: Whether refinement was tried and made the simulation of other data worse, so that the first model stands.
+        path: How it was refined, from which standard errors follow.
     """
 
     order: int
@@ -92,6 +98,7 @@ class OrderTrial:
     model: StateSpace
     refined: bool = True
     plain: bool = False
+    path: RefinementPath | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return it for the JSON result."""
@@ -144,6 +151,7 @@ def choose_order(
     asked: int | None = None,
     pulses: bool = False,
     progress: Callable[[str], None] | None = None,
+    limit: TimeLimit = NO_LIMIT,
 ) -> OrderChoice:
     """Choose the order.
 
@@ -155,12 +163,13 @@ def choose_order(
         asked: An order that is wanted in any case; the trials then only show what it is among.
         pulses: Whether each record is a pulse and its decay, which must not be cut.
         progress: Told what is done.
+        limit: Ends the search once one order has been refined.
 
     Raises:
         CannotAnswer: No order gives a stable model.
     """
     fitted, kept = select_pulses(records) if pulses else select_parts(records)
-    search = _Search(fitted, kept, start(fitted), kind, progress or (lambda step: None), pulses)
+    search = _Search(fitted, kept, start(fitted), kind, progress or (lambda step: None), pulses, limit)
     scanned: list[_Row] = []
     if orders is not None:
         for order in _affordable(fitted, orders):
@@ -187,6 +196,18 @@ def choose_order(
     return choice
 
 
+def add_standard_errors(choice: OrderChoice) -> OrderChoice:
+    """Return the choice with standard errors of the modes of the order taken and of its neighbours, where they cost little."""
+
+    def finish(trial: OrderTrial) -> OrderTrial:
+        near = abs(trial.order - choice.order) <= NEIGHBOURS
+        if trial.path is None or not near or trial.order * sum(trial.model.D.shape) > MANY_NUMBERS:
+            return trial
+        return replace(trial, modes=trial.path.finish().modes)
+
+    return replace(choice, trials=tuple(map(finish, choice.trials)))
+
+
 @dataclass(frozen=True, eq=False)
 class _Row:
     """A trial, with the errors (N, p) that it leaves of what it was not fitted to, and their spread."""
@@ -206,6 +227,7 @@ class _Search:
     kind: str
     say: Callable[[str], None]
     pulses: bool = False
+    limit: TimeLimit = NO_LIMIT
 
     def __post_init__(self) -> None:
         self.rows: list[_Row] = []
@@ -231,32 +253,53 @@ class _Search:
         return row is best or (self.apart and compare_errors_paired(row.kept, best.kept) <= TOLERANCE)
 
     def scan(self, orders: Sequence[int]) -> list[_Row]:
-        """Return first models of orders, unrefined; the scan stops where the data are explained and no order gains."""
+        """Return first models of orders, unrefined: a coarse look, then halves of the step below the one that is enough.
+
+        The coarse look stops where the data are explained and no order gains.
+        """
         rows: list[_Row] = []
-        for k, order in enumerate(orders, start=1):
-            self.say(f"scanning orders, {k} of {len(orders)}")
-            try:
-                row = self._judge(self.make(order))
-            except (TauDynError, np.linalg.LinAlgError):
-                continue
-            if row is None:
-                continue
-            rows.append(row)
-            best = self.lead(rows)
-            best = min((r for r in rows if self.is_as_good(r, best)), key=lambda r: r.trial.order).trial
-            if best.fit_percent > GOOD_FIT_PERCENT and order >= best.order + PATIENCE:
+        coarse, tried = list(_thin(orders)), set[int]()
+        for k, order in enumerate(coarse, start=1):
+            if rows and order > SMALL and self.limit.is_over(f"orders from {order} up", SCAN_SHARE):
                 break
+            self.say(f"scanning orders, {k} of {len(coarse)}")
+            tried.add(order)
+            rows += self._look(order)
+            best = self._enough(rows)
+            if best and best.fit_percent > GOOD_FIT_PERCENT and order >= best.order + PATIENCE:
+                break
+        while not self.pulses and (best := self._enough(rows)) is not None:  # pulses are bracketed by refined models
+            below = max((n for n in tried if n < best.order), default=0)
+            between = [n for n in orders if below < n < best.order]
+            if not between or self.limit.is_over("orders between those scanned", SCAN_SHARE):
+                break
+            order = between[len(between) // 2]
+            tried.add(order)
+            rows += self._look(order)
         return rows
+
+    def _look(self, order: int) -> list[_Row]:
+        """Return the first model of an order; nothing where there is none."""
+        try:
+            row = self._judge(self.make(order))
+        except (TauDynError, np.linalg.LinAlgError):
+            return []
+        return [] if row is None else [row]
+
+    def _enough(self, rows: Sequence[_Row]) -> OrderTrial | None:
+        """Return the trial of the smallest order that is as good as the best; None where there are none."""
+        if not rows:
+            return None
+        best = self.lead(rows)
+        return min((r for r in rows if self.is_as_good(r, best)), key=lambda r: r.trial.order).trial
 
     def refine_near(self, scanned: Sequence[_Row], asked: int | None) -> None:
         """Refine the neighbourhood of the order that first models favour, until the leading order's neighbours are known."""
         if self.pulses and scanned and not asked:
             self.bracket(max(row.trial.order for row in scanned))
             return
-        first = asked or 4
-        if scanned and not asked:
-            best = self.lead(scanned)
-            first = min(row.trial.order for row in scanned if self.is_as_good(row, best))
+        enough = None if asked else self._enough(scanned)
+        first = asked or (enough.order if enough else 4)
         for order in (*range(2, first + 1 if first <= SMALL else 0, 2), first):
             self.refine(order)
         while self.rows:
@@ -304,14 +347,16 @@ class _Search:
         if order < 1 or order in self.tried or order not in self.affordable or len(self.tried) >= MAX_REFINED_MODELS:
             return
         self.tried.add(order)
+        if self.rows and self.limit.is_over("more refined orders"):
+            return
         self.say(f"order {order}")
         try:
             first = self.make(order)
-            cheap = order * sum(first.D.shape) <= MANY_NUMBERS
-            refined = refine(first, self.fitted, kind=self.kind, maximum_rounds=MAX_ITERATIONS, covariance=cheap)
+            path = descend_to_fit(first, self.fitted, kind=self.kind, maximum_rounds=MAX_ITERATIONS)
+            refined = path.finish(covariance=False)
         except (TauDynError, np.linalg.LinAlgError):
             return
-        row, changed = self._judge(refined.model), {"modes": tuple(refined.modes)}
+        row, changed = self._judge(refined.model), {"modes": tuple(refined.modes), "path": path}
         if self.kind == SIMULATED and self.apart:
             plain = self._judge(first)
             if plain is not None and (row is None or compare_errors_paired(row.kept, plain.kept) > TOLERANCE):
@@ -382,6 +427,15 @@ def select_parts(records: Sequence[Record]) -> tuple[list[Record], list[Record]]
     fitted = [r.window(slice(0, round((1 - SELECT_SHARE) * r.n_samples))) for r in records]
     kept = [r.window(slice(round((1 - SELECT_SHARE) * r.n_samples), None)) for r in records]
     return fitted, kept
+
+
+def _thin(orders: Sequence[int]) -> Iterator[int]:
+    """Yield the orders of the coarse look: all small ones, then steps of a third or so, and the last one."""
+    last = 0
+    for order in orders:
+        if order <= SMALL or order >= COARSE_RATIO * last or order == orders[-1]:
+            last = order
+            yield order
 
 
 def _affordable(records: Sequence[Record], orders: Sequence[int], *, strict: bool = True) -> list[int]:

@@ -30,11 +30,13 @@ from tau_dyn.modes.contact import compute_noise_responses
 from tau_dyn.modes.fit_point import (
     DerivativeMaps,
     FitPoint,
+    FittedForm,
     assemble_normal_equations,
     build_columns,
     compute_derivative_maps,
     evaluate,
     mirror_unstable_poles,
+    simulate_form,
     solve_input_matrices,
 )
 from tau_dyn.modes.hankel import compute_spectrum, fit_autoregression
@@ -79,9 +81,13 @@ OF_VALUE = 1e-6  # ... and at least this part of the number, where rounding woul
 
 
 def propagate_covariance(
-    form: ModalForm, covariance: np.ndarray, direct: np.ndarray, change: Callable[[ModalForm], StateSpace]
+    form: ModalForm,
+    covariance: np.ndarray,
+    direct: np.ndarray,
+    change: Callable[[ModalForm], ModalForm],
+    reference: ModalForm,
 ) -> np.ndarray:
-    """Return the covariance (size, size) of the full vector of `build_modal_form(change(form))`.
+    """Return the covariance (size, size) of the full vector of another form of the same model.
 
     Rows of a mode that cannot be followed (two poles about to meet on the real axis) are nan.
 
@@ -89,9 +95,9 @@ def propagate_covariance(
         form: The form that was estimated.
         covariance: Of its free numbers (f, f).
         direct: Which entries of its D are free.
-        change: Makes the wanted model of a form.
+        change: Makes the other form, its modes in any order and scale.
+        reference: The other form at the estimate.
     """
-    reference = build_modal_form(change(form))
     free = np.flatnonzero(free_numbers(form, direct))
     values = flatten_form(form)[free]
     steps = np.maximum(
@@ -102,7 +108,7 @@ def propagate_covariance(
         step = np.zeros(build_layout(form).size)
         step[index] = h
         with np.errstate(all="ignore"):  # a mode that is lost on the way may divide by zero; it is nan in the end
-            ahead, behind = (_followed(build_modal_form(change(step_form(form, s))), reference) for s in (step, -step))
+            ahead, behind = (_followed(change(step_form(form, s)), reference) for s in (step, -step))
         jacobian[:, column] = (ahead - behind) / (2 * h)
     lost = ~np.isfinite(jacobian).all(axis=1)
     jacobian[lost] = 0.0
@@ -176,10 +182,7 @@ def _add_input_noise(point: FitPoint, records: Sequence[Record], weight: np.ndar
 
 def compute_errors(point: FitPoint, records: Sequence[Record]) -> tuple[np.ndarray, ...]:
     """Return measured minus modelled outputs, record by record."""
-    out = []
-    for record, x0 in zip(records, point.x0, strict=True):
-        out.append(np.vstack([record.y[c.part] - c.predicted for c in build_columns(point.form, x0, record)]))
-    return tuple(out)
+    return tuple(r.y - simulate_form(point.form, x0, r) for r, x0 in zip(records, point.x0, strict=True))
 
 
 def _middle(
@@ -290,6 +293,7 @@ def refine(
     direct: bool | None = None,
     maximum_rounds: int = 40,
     covariance: bool = True,
+    stop: Callable[[], bool] = lambda: False,
 ) -> RefinedModel:
     """Refine a model on records.
 
@@ -300,11 +304,13 @@ def refine(
         direct: Whether D may differ from zero; None as in the model given.
         maximum_rounds: Most accepted steps.
         covariance: Whether to work out uncertainties; without them every standard error is nan, in half the time.
+        stop: Asked before every step whether to end there.
 
     Raises:
         InputError: The kind is unknown or the records do not fit the model.
     """
-    return descend_to_fit(model, records, kind=kind, direct=direct, maximum_rounds=maximum_rounds).finish(covariance)
+    path = descend_to_fit(model, records, kind=kind, direct=direct, maximum_rounds=maximum_rounds, stop=stop)
+    return path.finish(covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,11 +355,16 @@ class RefinementPath:
         def in_own_units(form: ModalForm) -> StateSpace:
             return replace(self.as_model(form), delay=model.delay, noise=point.covariance).unscaled(scales)
 
+        def in_own_form(form: ModalForm) -> ModalForm:
+            # simulations are fitted in the model's own modes, predictions in those of the predictor
+            return form.unscaled(scales) if self.kind == SIMULATED else build_modal_form(in_own_units(form))
+
         refined = in_own_units(point.form)
-        size = build_layout(build_modal_form(refined)).size
-        spread = (
-            propagate_covariance(point.form, found, free, in_own_units) if covariance else np.full((size, size), np.nan)
-        )
+        reference = build_modal_form(refined)
+        size = build_layout(reference).size
+        spread = np.full((size, size), np.nan)
+        if covariance:
+            spread = propagate_covariance(point.form, found, free, in_own_form, reference)
         return RefinedModel(
             refined,
             spread,
@@ -377,6 +388,7 @@ def descend_to_fit(
     kind: str = "output_error",
     direct: bool | None = None,
     maximum_rounds: int = 40,
+    stop: Callable[[], bool] = lambda: False,
 ) -> RefinementPath:
     """Walk from a model down to the one that fits records best; see `refine`."""
     if kind not in KINDS:
@@ -388,11 +400,11 @@ def descend_to_fit(
     direct = bool(np.any(model.D)) if direct is None else direct
     problem = _output_errors if kind == SIMULATED else _prediction_errors
     point, wide, free, as_model, allowed = problem(replace(model.scaled(scales), delay=0), ready, direct)
-    path = minimise(point, wide, free, maximum_rounds, allowed)
+    path = minimise(point, wide, free, maximum_rounds, allowed, stop)
     return RefinementPath(model, kind, scales, wide, free, as_model, path)
 
 
-Problem = tuple[FitPoint, list[Record], np.ndarray, Callable[[ModalForm], StateSpace], Callable[[ModalForm], bool]]
+Problem = tuple[FittedForm, list[Record], np.ndarray, Callable[[ModalForm], StateSpace], Callable[[ModalForm], bool]]
 
 
 def _output_errors(start: StateSpace, records: list[Record], direct: bool) -> Problem:

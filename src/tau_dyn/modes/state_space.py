@@ -172,7 +172,9 @@ def _triangular(T: np.ndarray, drive: np.ndarray, x0: np.ndarray) -> tuple[np.nd
     out = np.zeros((len(drive) + 1, n), dtype=complex, order="F")
     out[0] = x0
     for i in range(n - 1, -1, -1):
-        pushed = drive[:, i] + out[:-1, i + 1 :] @ T[i, i + 1 :]
+        above = i + 1 + np.flatnonzero(T[i, i + 1 :])  # few where A is block-diagonal
+        above = above if len(above) < n - i - 1 else slice(i + 1, None)
+        pushed = drive[:, i] + out[:-1, above] @ T[i, above]
         out[1:, i] = lfilter([1.0], [1.0, -T[i, i]], pushed, zi=T[i, i] * x0[i : i + 1])[0]
     return out[:-1], out[-1]
 

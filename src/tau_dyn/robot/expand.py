@@ -30,7 +30,16 @@ from tau_dyn.robot.xacro_evaluation import evaluate_xacro
 
 _LOG = "; this looks like a log; were robot and log exchanged?"
 _MODEL = "; is it a model file? Then give the robot's file first"
-_SWAPPED = {".csv": _LOG, ".parquet": _LOG, ".mcap": _LOG, ".bag": _LOG, ".mat": _LOG, ".yaml": _MODEL, ".yml": _MODEL}
+_SWAPPED = {
+    ".csv": _LOG,
+    ".parquet": _LOG,
+    ".mcap": _LOG,
+    ".bag": _LOG,
+    ".mat": _LOG,
+    ".unv": _LOG,
+    ".yaml": _MODEL,
+    ".yml": _MODEL,
+}
 """Hint for a file of another kind that was given as a robot."""
 
 MAX_ROBOT_BYTES = 32 * 2**20

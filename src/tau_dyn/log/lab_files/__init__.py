@@ -1,0 +1,1 @@
+"""Files of measuring and computing software: MATLAB, universal files."""
