@@ -21,7 +21,7 @@ from tau_dyn.calibrate.conventions import measure_misfit
 from tau_dyn.calibrate.fit_problem import compute_actuated_positions, compute_size_slope, compute_slack_slopes
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.measured import PoseSet, measured_by_joint, measured_by_parameter
-from tau_dyn.calibrate.models import Family, Spec
+from tau_dyn.calibrate.model_family import Family, Spec
 
 _MIN_RELATIVE_MISFIT = 0.01
 """What the robot file misses, over how far the poses spread, from which a coupling is looked for."""

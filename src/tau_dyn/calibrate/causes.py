@@ -18,8 +18,8 @@ from tau_dyn.calibrate.crossvalidation import compare_paired, cross_validate, ea
 from tau_dyn.calibrate.geometry import ConstrainedGeometry, Geometry, constrain_parameters
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.measured import PoseSet
+from tau_dyn.calibrate.model_family import OF_WHOLE, Family, Spec
 from tau_dyn.calibrate.model_selection import CandidateModel, Options, SelectionStep, fit_geometry, transfer_state
-from tau_dyn.calibrate.models import OF_WHOLE, Family, Spec
 from tau_dyn.calibrate.outliers import MovedFrame
 from tau_dyn.effects import CONVENTIONS, GEOMETRY_CAUSES, GEOMETRY_SENTENCES
 from tau_dyn.evidence import Finding, Gain, explain_gain
@@ -104,6 +104,7 @@ _OF_ADDITION = {
     "backlash": "backlash",
     "coupling": "joint_coupling",
     "gravity": "gravity_deflection",
+    "elastic": "drive_compliance",
     "eccentric": "joint_eccentricity",
     "delay": "joint_delay",
     "tool_frame": "tool_frame",
@@ -118,6 +119,7 @@ _PATTERNS = {
     "transmission_error": ("error",),
     "guideway_not_straight": ("bend_",),
     "guideway_compliance": ("_compliance",),
+    "drive_compliance": ("drive_compliance",),
     "backlash": ("backlash",),
     "gravity_deflection": ("gravity_compliance", "load_deflection"),
     "joint_eccentricity": ("eccentricity_",),

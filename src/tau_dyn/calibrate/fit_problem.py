@@ -209,7 +209,9 @@ class Problem:
 
     def _closure(self, state: FitState, at: Poses) -> Closure:
         return self._require(
-            self.geometry.closure(state.theta, compute_actuated_positions(self.poses, state.slack), at)
+            self.geometry.under(self.poses.loads).closure(
+                state.theta, compute_actuated_positions(self.poses, state.slack), at
+            )
         )
 
     def _require(self, found: Closure | None) -> Closure:

@@ -59,6 +59,11 @@ class Geometry(Protocol):
     """A mechanism whose dimensions are parameters."""
 
     @property
+    def robot(self) -> Robot:
+        """The robot file."""
+        ...
+
+    @property
     def parameters(self) -> Parameters:
         """Nominal values; units m, rad, 1. Parameters that are not `free` stay at their value."""
         ...
@@ -81,6 +86,17 @@ class Geometry(Protocol):
     @property
     def priority(self) -> np.ndarray:
         """Whole numbers (p,): where parameters depend on each other, those with smaller ones are kept."""
+        ...
+
+    def under(self, loads: np.ndarray) -> Geometry:
+        """Return the geometry under loads at the tool (N, 7): weight [kg], force [N] and moment [N m] in base axes.
+
+        Its methods then take as many positions, a row for each load.
+        """
+        ...
+
+    def split_springs(self, theta: np.ndarray) -> tuple[Geometry, np.ndarray, dict[str, tuple[str, float]]]:
+        """Return the geometry without its drives' springs, its parameters, and each joint's parameter and compliance."""
         ...
 
     def forward(self, theta: np.ndarray, q: np.ndarray, start: Poses | None = None) -> Predicted:
@@ -157,6 +173,14 @@ class GeometryDefaults(Brief):
         """Units of `q`."""
         return self.robot.position_units
 
+    def under(self, loads: np.ndarray) -> Geometry:
+        """Return the geometry itself: nothing of it yields."""
+        return self
+
+    def split_springs(self, theta: np.ndarray) -> tuple[Geometry, np.ndarray, dict[str, tuple[str, float]]]:
+        """Return the geometry itself and no springs."""
+        return self, theta, {}
+
     def passive(self, theta: np.ndarray, q: np.ndarray, joints: Sequence[str]) -> np.ndarray:
         """Refuse."""
         raise InputError(
@@ -206,6 +230,11 @@ class ConstrainedGeometry(GeometryDefaults):
     priority: np.ndarray
 
     @property
+    def robot(self) -> Robot:
+        """The robot file."""
+        return self.geometry.robot
+
+    @property
     def actuated(self) -> tuple[str, ...]:
         """Actuated joints."""
         return self.geometry.actuated
@@ -223,6 +252,11 @@ class ConstrainedGeometry(GeometryDefaults):
     def full(self, theta: np.ndarray) -> np.ndarray:
         """Return the original's parameters (p,)."""
         return self.geometry.parameters.values + self.matrix @ (theta - self.parameters.values)
+
+    def under(self, loads: np.ndarray) -> Geometry:
+        """Return the geometry under loads at the tool (N, 7)."""
+        inner = self.geometry.under(loads)
+        return self if inner is self.geometry else replace(self, geometry=inner)
 
     def forward(self, theta: np.ndarray, q: np.ndarray, start: Poses | None = None) -> Predicted:
         """Return tool poses."""
