@@ -27,6 +27,8 @@ def test_a_weight_at_the_elbow_is_held_by_the_shoulder(write, rng, n: int) -> No
     q, v, a = rng.standard_normal((3, n, 2))
     more = heavy.inverse_dynamics(q, v, a) - plain.inverse_dynamics(q, v, a)
     assert_allclose(more, np.column_stack([-2.5 * 9.81 * 0.4 * np.cos(q[:, 0]), np.zeros(n)]), atol=1e-10)
+    arms, gravity = heavy.weight_arms(q).rates - plain.weight_arms(q).rates, heavy.model.gravity.linear
+    assert_allclose(-(arms @ gravity).sum(axis=2), more, atol=1e-10)
     column = heavy.regressor(q, v, a)[:, :, -1]
     assert heavy.robot.parameters.names[-1] == "lower_link.gravity_mass"
     assert_allclose(2.5 * column, more, atol=1e-10)

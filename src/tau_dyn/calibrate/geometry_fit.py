@@ -126,6 +126,8 @@ class GeometryFit(Brief):
         weights: Of the poses (N,).
         identifiability: What could be told.
         columns: Whitened derivatives of the kept unknowns (N, m, r), for predictions and cross-validation.
+        prior_weights: Of the prior of the kept unknowns (r,), over their standard deviation.
+        prior_pulls: How far these are from nominal (r,), in standard deviations.
         steps: Gauss-Newton steps taken.
         converged: Whether it came to rest.
     """
@@ -141,6 +143,8 @@ class GeometryFit(Brief):
     weights: np.ndarray
     identifiability: Identifiability
     columns: np.ndarray
+    prior_weights: np.ndarray
+    prior_pulls: np.ndarray
     steps: int
     converged: bool
 
@@ -443,6 +447,8 @@ def _solve(problem: Problem, robust: str, noise: tuple[float, ...] | None, state
         weights=weights,
         identifiability=found,
         columns=columns,
+        prior_weights=(weighted.trust / weighted.scales)[found.kept],
+        prior_pulls=weighted.compute_prior(state)[found.kept],
         steps=steps,
         converged=converged,
     )

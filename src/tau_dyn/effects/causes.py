@@ -63,7 +63,7 @@ GEOMETRY_SENTENCES = {
     "backlash": "The drive has backlash",
     "joint_coupling": "The second joint moves the first along",
     "gravity_deflection": "The joint yields to gravity",
-    "drive_compliance": "The drive yields to its load",
+    "drive_compliance": "Drives yield to their load",
     "joint_eccentricity": "The joint's angle has an error once a turn",
     "joint_delay": "Joints and tool were measured at different times",
     "tool_frame": "The target moved between campaigns",
