@@ -36,6 +36,16 @@ def test_a_weight_at_the_elbow_is_held_by_the_shoulder(write, rng, n: int) -> No
     assert_allclose(heavy.guide_load(q, v, a), np.abs(heavy.inverse_dynamics(q, v, a)), rtol=1e-12)
 
 
+def test_weight_arms_have_the_lever_of_such_a_mass(write, rng) -> None:
+    """A weight 0.1 m off its joint is held as gravity on its lever says."""
+    fixed = '<link name="hook"/><joint name="bolt" type="fixed"><origin xyz="0.1 0.02 0"/><parent link="lower_link"/>'
+    note = f'{fixed}<child link="hook"/></joint><tau_dyn:gravity_mass link="hook" value="2.5"/></robot>'
+    heavy = TreeMechanism(load_robot_from_urdf(write.two_link().replace("</robot>", note), "arm"))
+    q = rng.standard_normal((N, 2))
+    tau = -(heavy.weight_arms(q).rates @ heavy.model.gravity.linear).sum(axis=2)
+    assert_allclose(tau, heavy.inverse_dynamics(q, 0 * q, 0 * q), atol=1e-10)
+
+
 @pytest.mark.parametrize("arms", EXTRA)
 def test_many_at_once_are_as_one_by_one(motion, arms: str) -> None:
     """Forces, columns, guide forces and their sizes of a Gantry-Tau whose plate gravity feels as heavier."""
