@@ -74,9 +74,13 @@ class DisplacedGeometry(GeometryDefaults):
     displacement: JointDisplacement
     loads: np.ndarray | None = None
 
-    @cached_property
-    def parameters(self) -> Parameters:  # type: ignore[override]
+    @property
+    def parameters(self) -> Parameters:
         """The geometry's parameters, then the displacement's."""
+        return self._parameters
+
+    @cached_property
+    def _parameters(self) -> Parameters:
         return Parameters([*self.geometry.parameters, *self.displacement.parameters])
 
     @property

@@ -200,9 +200,13 @@ class ElasticDrives:
 
     beyond_file = ""
 
-    @cached_property
+    @property
     def parameters(self) -> Parameters:
         """The drives', then by what share masses are off that matter to them, and the base's tilt."""
+        return self._parameters
+
+    @cached_property
+    def _parameters(self) -> Parameters:
         masses = [
             Parameter(f"{body}.mass_error", 0.0, "1", prior_stderr=share, origin="law")
             for body, share in self._mass_shares.items()

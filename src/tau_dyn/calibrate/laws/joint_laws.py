@@ -113,9 +113,13 @@ class EncoderLaws:
 
     beyond_file = GeometryDefaults.beyond_file
 
-    @cached_property
+    @property
     def parameters(self) -> Parameters:
         """The laws' parameters."""
+        return self._parameters
+
+    @cached_property
+    def _parameters(self) -> Parameters:
         return Parameters([p for law in self.laws for p in law.parameters])
 
     @property
