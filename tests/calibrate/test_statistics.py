@@ -112,7 +112,7 @@ def test_columns_of_chance_have_p_values_of_chance(fits):
     for one in fits:
         rest = _ProjectedResidual(one.fit)
         for _ in range(10):
-            basis = rest.span(rng.standard_normal((len(rest.r), 2)))
+            basis = rest.span(rest.whiten(rng.standard_normal((*rest.sigma.shape, 2))))
             p.append(rest.judged(float(np.sum((basis.T @ rest.r) ** 2)), basis.shape[1])[0])
     assert stats.kstest(p, "uniform").pvalue > 0.01
 
