@@ -255,12 +255,12 @@ def test_the_written_robot_has_the_springs_of_its_drives(tmp_path: Path):
 @pytest.mark.parametrize("c", [1.5e-3, 0.0])
 def test_a_delta_whose_drives_yield_is_named_by_default(c: float):
     """Under gravity alone the default names drives that yield, and of a stiff Delta none; held-out poses are missed by noise."""
-    robot, q = draw_positions("delta", 100, 15)
-    _, geometry = build_elastic(robot, q, np.zeros((100, 7)))
+    robot, q = draw_positions("delta", 140, 15)
+    _, geometry = build_elastic(robot, q, np.zeros((140, 7)))
     theta, rng = set_compliances(geometry, c), np.random.default_rng(16)
     theta[geometry.parameters.names.index("rod1a.length")] += 5e-4
     poses = simulate_poses(geometry, theta, q, rng, noise=NOISE)
-    found = calibrate(robot, poses.take(np.arange(70)), poses.take(np.arange(70, 100)), accuracy=NOISE)
+    found = calibrate(robot, poses.take(np.arange(80)), poses.take(np.arange(80, 140)), accuracy=NOISE)
     named = [f for f in found.findings if f.cause == "drive_compliance" and f.status == "confirmed"]
     assert bool(named) == (c > 0)
     assert found.errors(found.chosen).position_size.rms < 1.2 * np.sqrt(3) * NOISE[0]
