@@ -21,7 +21,7 @@ import numpy as np
 
 from tau_dyn.calibrate import PoseSet, constrain_parameters, fit_geometry_to_poses
 from tau_dyn.calibrate.frames import DeviceFrames
-from tau_dyn.calibrate.joint_laws import GuideBendLaw, find_carried_rods
+from tau_dyn.calibrate.laws import GuideBendLaw, find_carried_rods
 from tau_dyn.calibrate.model_selection import Options, select_model
 from tau_dyn.calibrate.models import RodFamily, Spec
 from tau_dyn.calibrate.rod_geometry import RodGeometry

@@ -15,7 +15,7 @@ import argparse
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.calibrate.joint_laws import GuideBendLaw, find_carried_rods
+from tau_dyn.calibrate.laws import GuideBendLaw, find_carried_rods
 from tau_dyn.calibrate.model_selection import Options, fit_spec, select_model
 from tau_dyn.calibrate.models import RodFamily, Spec
 from tau_dyn.calibrate.rod_geometry import RodGeometry

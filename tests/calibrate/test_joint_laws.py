@@ -15,8 +15,14 @@ from tau_dyn.calibrate import PoseErrors, PoseSet, calibrate, load_calibration, 
 from tau_dyn.calibrate.addition_tests import find_unit_coupling
 from tau_dyn.calibrate.crossvalidation import compare_paired, split_folds
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
-from tau_dyn.calibrate.gravity import ArmGeometry, build_gravity_laws, compute_gravity_moments
-from tau_dyn.calibrate.joint_laws import CouplingLaw, EccentricityLaw
+from tau_dyn.calibrate.laws import (
+    CouplingLaw,
+    DisplacedGeometry,
+    EccentricityLaw,
+    EncoderLaws,
+    JointLoading,
+    StaticForces,
+)
 from tau_dyn.calibrate.models import TreeFamily
 from tau_dyn.calibrate.simulated import TRACKER, format_csv, simulate_poses
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
@@ -43,14 +49,20 @@ def robot() -> Robot:
     return load_robot_from_urdf("".join(rows) + '<parent link="l4_link"/><child link="tool"/></joint></robot>', "four")
 
 
-def build_arm(robot: Robot, ratio: float = 1.0) -> ArmGeometry:
+def load_joints(robot: Robot) -> JointLoading:
+    """Return what loads each joint within 1.5 rad of zero, without known loads at the tool."""
+    statics = StaticForces(build_tree_geometry(robot))
+    return JointLoading(statics, np.full(4, -1.5), np.full(4, 1.5), np.zeros((1, 7)))
+
+
+def build_arm(robot: Robot, ratio: float = 1.0) -> DisplacedGeometry:
     """Return the arm with every kind of law."""
-    tree = build_tree_geometry(robot)
-    gravity = build_gravity_laws(tree, ("j2", "j3"), np.full(4, -1.5), np.full(4, 1.5))
-    return ArmGeometry(tree, (CouplingLaw("j3", 2, "j2", 1, ratio), *gravity, EccentricityLaw("j4", 3)))
+    drives = load_joints(robot).build(dict.fromkeys(("j2", "j3"), "gravity_compliance"), load_known=False)
+    laws = EncoderLaws((CouplingLaw("j3", 2, "j2", 1, ratio), EccentricityLaw("j4", 3)))
+    return DisplacedGeometry(DisplacedGeometry(build_tree_geometry(robot), drives), laws)
 
 
-def spoil(arm: ArmGeometry, seed: int, **given: float) -> np.ndarray:
+def spoil(arm: DisplacedGeometry, seed: int, **given: float) -> np.ndarray:
     """Return parameters 1 mm and 1 mrad off; compliances of 30 urad per N m, an eccentricity of 0.7 mrad."""
     rng = np.random.default_rng(seed)
     theta = arm.parameters.values + 1e-3 * rng.standard_normal(len(arm.parameters)) * arm.parameters.free
@@ -78,7 +90,8 @@ def test_derivatives_are_those_of_the_poses(robot):
         turn = Rotation.from_matrix(b.rotation @ np.swapaxes(a.rotation, 1, 2)).as_rotvec()
         return np.concatenate([b.position - a.position, turn], axis=1)
 
-    by_parameter, by_joint, h = arm.tool_by_parameter(theta, q), arm.tool_by_joint(theta, q), 1e-6
+    at, h = arm.forward(theta, q).poses, 1e-6
+    by_parameter, by_joint = arm.tool_by_parameter(theta, q, at), arm.tool_by_joint(theta, q, at)
     for k in range(len(theta)):
         step = h * np.eye(len(theta))[k]
         found = differ(arm.forward(theta - step, q).poses, arm.forward(theta + step, q).poses) / (2 * h)
@@ -91,21 +104,26 @@ def test_derivatives_are_those_of_the_poses(robot):
 
 def test_a_horizontal_arm_yields_by_its_weight_times_its_lever(robot):
     """All of the arm beyond j2 stretched out weighs on j2 by the sum of mass times distance times gravity."""
-    tree = build_tree_geometry(robot)
-    (law,) = build_gravity_laws(tree, ("j2",), np.full(4, -1.5), np.full(4, 1.5))
-    moments, gravity = compute_gravity_moments(tree, np.zeros((1, 4))), robot.model.gravity.linear
-    torques = law.select(moments.torques(gravity, moments.weights({})))[0]
+    loading = load_joints(robot)
+    drives = loading.build({"j2": "gravity_compliance"}, load_known=False)
+    names, straight = drives.parameters.names, np.zeros((1, 4))
     masses, load = 9.81 * (5 * 0.2 + 4 * 0.8 + 3 * (1.0 + 0.0)), 9.81 * (1.0 + 0.05)
-    assert torques == pytest.approx([-masses, -load], rel=1e-9)  # gravity pulls the way that the drive holds against
-    assert [p.unit for p in law.parameters] == ["rad/(N m)", "rad kg/(N m)"]
-    off = moments.weights({"j1": 0.9, "j4": -0.5})  # j1's link does not load j2
-    lighter = law.select(moments.torques(gravity, off))[0]
-    assert lighter == pytest.approx([-masses + 0.5 * 9.81 * 3 * 1.0, -load], rel=1e-9)
-    assert law.bodies == ("j2", "j3", "j4")
-    assert not build_gravity_laws(tree, ("j1",), np.full(4, -1.5), np.full(4, 1.5))  # its axis is vertical
+
+    def sink(**errors: float) -> list[float]:
+        values = np.zeros(len(names))
+        for name, value in errors.items():
+            values[names.index(f"{name}.mass_error")] = value
+        return drives.move(values, straight, None).by_parameter[0, 1, :2].tolist()
+
+    assert names == ("j2.gravity_compliance", "j2.load_deflection", "j2.mass_error", "j3.mass_error", "j4.mass_error",
+                     "base.tilt_x", "base.tilt_y")  # fmt: skip
+    assert sink() == pytest.approx([-masses, -load], rel=1e-9)  # gravity pulls the way that the drive holds against
+    assert [p.unit for p in drives.parameters][:2] == ["rad/(N m)", "rad kg/(N m)"]
+    assert sink(j4=-0.5) == pytest.approx([-masses + 0.5 * 9.81 * 3 * 1.0, -load], rel=1e-9)
+    assert "j1" not in loading.list_carrying()  # its axis is vertical
 
 
-def measure(arm: ArmGeometry, theta: np.ndarray, n: int, seed: int) -> PoseSet:
+def measure(arm: DisplacedGeometry, theta: np.ndarray, n: int, seed: int) -> PoseSet:
     """Return measured poses of the arm."""
     rng = np.random.default_rng(seed)
     return simulate_poses(arm, theta, rng.uniform(-1.4, 1.4, (n, 4)), rng, noise=NOISE, turned=True, frames=TRACKER)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 sys.path.insert(0, str(Path(__file__).parent))
 from calibration_rigs import family_at, rods_of, spoiled
 
-from tau_dyn.calibrate.gravity import RodLoads
+from tau_dyn.calibrate.laws import RodLoads
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 
 ROBOTS = {

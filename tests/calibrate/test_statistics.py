@@ -20,7 +20,7 @@ from tau_dyn.calibrate import outliers
 from tau_dyn.calibrate.addition_tests import _ProjectedResidual
 from tau_dyn.calibrate.crossvalidation import compare_paired, earns_parameters, split_folds
 from tau_dyn.calibrate.geometry_fit import GeometryFit
-from tau_dyn.calibrate.gravity import RodLoads
+from tau_dyn.calibrate.laws import RodLoads
 from tau_dyn.calibrate.measured import PoseErrors, estimate_measurement_noise
 from tau_dyn.calibrate.model_selection import CandidateModel, Options, fit_and_cross_validate, fit_geometry
 from tau_dyn.calibrate.outliers import _fit_move, _leave_out_each, find_moved_frames, find_outliers
@@ -112,7 +112,7 @@ def test_columns_of_chance_have_p_values_of_chance(fits):
     for one in fits:
         rest = _ProjectedResidual(one.fit)
         for _ in range(10):
-            basis = rest.span(rng.standard_normal((len(rest.r), 2)))
+            basis = rest.span(rest.whiten(rng.standard_normal((*rest.sigma.shape, 2))))
             p.append(rest.judged(float(np.sum((basis.T @ rest.r) ** 2)), basis.shape[1])[0])
     assert stats.kstest(p, "uniform").pvalue > 0.01
 
@@ -146,7 +146,7 @@ def test_six_rods_balance_the_moments_too():
     loads.centre = np.array([0.2, -0.1, 0.05])
     q = rods.robot.home[None]
     plate = rods.plate_poses(forward_kinematics(rods, q).poses)
-    pulls = loads._axial(q, plate)[0, :, None] * rods.rod_directions(q, plate)[0]
+    pulls = loads._axial(q, plate, np.zeros((1, 7)))[0, :, None] * rods.rod_directions(q, plate)[0]
     halves, arms = np.outer(loads.half, loads.gravity), rods.plate_points(plate)[0] - plate.position[0]
     weight = loads.plate_mass * loads.gravity
     assert_allclose(pulls.sum(axis=0) + weight + halves.sum(axis=0), 0, atol=1e-9)

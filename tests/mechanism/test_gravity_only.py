@@ -27,11 +27,23 @@ def test_a_weight_at_the_elbow_is_held_by_the_shoulder(write, rng, n: int) -> No
     q, v, a = rng.standard_normal((3, n, 2))
     more = heavy.inverse_dynamics(q, v, a) - plain.inverse_dynamics(q, v, a)
     assert_allclose(more, np.column_stack([-2.5 * 9.81 * 0.4 * np.cos(q[:, 0]), np.zeros(n)]), atol=1e-10)
+    arms, gravity = heavy.weight_arms(q).rates - plain.weight_arms(q).rates, heavy.model.gravity.linear
+    assert_allclose(-(arms @ gravity).sum(axis=2), more, atol=1e-10)
     column = heavy.regressor(q, v, a)[:, :, -1]
     assert heavy.robot.parameters.names[-1] == "lower_link.gravity_mass"
     assert_allclose(2.5 * column, more, atol=1e-10)
     assert_allclose(heavy.inertia(q), plain.inertia(q), rtol=1e-12)
     assert_allclose(heavy.guide_load(q, v, a), np.abs(heavy.inverse_dynamics(q, v, a)), rtol=1e-12)
+
+
+def test_weight_arms_have_the_lever_of_such_a_mass(write, rng) -> None:
+    """A weight 0.1 m off its joint is held as gravity on its lever says."""
+    fixed = '<link name="hook"/><joint name="bolt" type="fixed"><origin xyz="0.1 0.02 0"/><parent link="lower_link"/>'
+    note = f'{fixed}<child link="hook"/></joint><tau_dyn:gravity_mass link="hook" value="2.5"/></robot>'
+    heavy = TreeMechanism(load_robot_from_urdf(write.two_link().replace("</robot>", note), "arm"))
+    q = rng.standard_normal((N, 2))
+    tau = -(heavy.weight_arms(q).rates @ heavy.model.gravity.linear).sum(axis=2)
+    assert_allclose(tau, heavy.inverse_dynamics(q, 0 * q, 0 * q), atol=1e-10)
 
 
 @pytest.mark.parametrize("arms", EXTRA)

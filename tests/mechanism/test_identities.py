@@ -22,6 +22,22 @@ def with_drive_inertia(robot, rng):
 
 
 @pytest.mark.parametrize("kind", SERIAL + LOOPED)
+def test_weight_arms_times_gravity_are_the_forces_at_rest(robots, motion, kind: str) -> None:
+    """Forces at rest are what gravity does on all bodies' partial velocities; the bodies' places sum to the centre of mass."""
+    robot = robots(kind)
+    mechanism, (q, _, _) = TreeMechanism(robot), motion(robot)
+    rest = np.zeros_like(q)
+    arms = mechanism.weight_arms(q)
+    tau = mechanism.inverse_dynamics(q, rest, rest)
+    gravity = mechanism.model.gravity.linear
+    assert_allclose(-(arms.rates @ gravity).sum(axis=2), tau, atol=1e-9 * max(np.abs(tau).max(), 1.0))
+    full, data = mechanism.solver.close(q[0]), mechanism.model.createData()
+    centre = pin.centerOfMass(mechanism.model, data, full)
+    held = data.mass[0] * centre
+    assert_allclose(arms.places[0].sum(axis=0), held, atol=1e-9 * max(np.abs(held).max(), 1.0))
+
+
+@pytest.mark.parametrize("kind", SERIAL + LOOPED)
 def test_recursive_newton_euler_equals_regressor_times_parameters(robots, motion, rng, kind: str) -> None:
     """`rnea = Y theta` on random states, drive inertia included; a serial arm's is Pinocchio's own, coupled joints projected."""
     robot = with_drive_inertia(robots(kind), rng)

@@ -21,7 +21,7 @@ from tau_dyn.calibrate.conventions import measure_misfit
 from tau_dyn.calibrate.fit_problem import compute_actuated_positions, compute_size_slope, compute_slack_slopes
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.measured import PoseSet, measured_by_joint, measured_by_parameter
-from tau_dyn.calibrate.models import Family, Spec
+from tau_dyn.calibrate.model_family import Family, Spec
 
 _MIN_RELATIVE_MISFIT = 0.01
 """What the robot file misses, over how far the poses spread, from which a coupling is looked for."""
@@ -106,18 +106,22 @@ class AdditionTest(NamedTuple):
 
 
 def screen_additions(fitted: GeometryFit, family: Family, spec: Spec) -> list[AdditionTest]:
-    """Return the additions that would take away more than noise would, surest first."""
+    """Return the additions that would take away more than noise would, surest first.
+
+    Drives that yield are also tried all together: they carry the same load, so that one alone may take what the others do.
+    """
     rest = _ProjectedResidual(fitted)
     hints = []
     for addition in family.screened:
-        for joint in family.can_have(addition):
-            first = spec.additions.get("periodic", ())
-            if joint in _list_taken(spec, addition) or (addition == "periodic2" and joint not in first):
+        places = [joint for joint in family.can_have(addition) if joint not in _list_taken(spec, addition)]
+        together = [tuple(places)] if addition == "elastic" and len(places) > 1 else []
+        for joints in [*((joint,) for joint in places), *together]:
+            if addition == "periodic2" and joints[0] not in spec.additions.get("periodic", ()):
                 continue
             if addition.startswith("periodic"):
-                hint = _periodic(rest, family, joint, addition)
+                hint = _periodic(rest, family, joints[0], addition)
             else:
-                hint = _plain(rest, family, spec, addition, joint)
+                hint = _plain(rest, family, spec, addition, joints)
                 if hint is not None and addition == "coupling":
                     hint = hint._replace(p_value=min(1.0, hint.p_value * len(family.can_have(addition))))
             if hint is not None and hint.p_value < SIGNIFICANCE_LEVEL:
@@ -131,7 +135,7 @@ _MIN_TRAVEL = {"rad": 0.1, "m": 0.01}
 
 
 def find_rivals(
-    fitted: GeometryFit, family: Family, spec: Spec, addition: str, joint: str
+    fitted: GeometryFit, family: Family, spec: Spec, addition: str, places: tuple[str, ...]
 ) -> tuple[tuple[str, str], ...]:
     """Return what else leaves nothing for an addition to explain, as addition and place.
 
@@ -143,18 +147,20 @@ def find_rivals(
         family: The robot's models.
         spec: The model without it.
         addition: Its kind.
-        joint: Its place; of a coupling `JOINT/OTHER`.
+        places: Where it is, in one place or in several together; of a coupling `JOINT/OTHER`.
     """
     travel = np.ptp(fitted.poses.q, axis=0)
     units = dict(zip(fitted.geometry.actuated, zip(travel, fitted.geometry.position_units, strict=True), strict=True))
-    if any(size < _MIN_TRAVEL[unit] for size, unit in (units[j] for j in joint.split("/") if j in units)):
+    sizes = [[units[joint] for joint in place.split("/") if joint in units] for place in places]
+    if all(any(size < _MIN_TRAVEL[unit] for size, unit in own) for own in sizes):
         return (("gravity", "base"),)
     rest = _ProjectedResidual(fitted)
-    hints = {(h.addition, h.joints[0]): h for h in screen_additions(fitted, family, spec)}
-    hint = hints.pop((addition, joint), None)
+    found = [h for h in screen_additions(fitted, family, spec) if len(h.joints) == 1]
+    hints = {(h.addition, h.joints[0]): h for h in found if h.addition != addition or h.joints[0] not in places}
+    hint = next((h for h in found if (h.addition, h.joints) == (addition, places)), None)
     if hint is None and addition.startswith("periodic"):
         return ()
-    own = _build_columns(rest, family, spec, hint or AdditionTest(addition, (joint,), 1.0, 0.0))
+    own = _build_columns(rest, family, spec, hint or AdditionTest(addition, places, 1.0, 0.0))
     q = compute_actuated_positions(fitted.poses, fitted.state.slack)
     others = {place: _build_columns(rest, family, spec, hint) for place, hint in hints.items()}
     base = rest.twists(family.move_with_base(q, fitted.state.base))
@@ -168,7 +174,7 @@ def find_rivals(
 def _build_columns(rest: _ProjectedResidual, family: Family, spec: Spec, hint: AdditionTest) -> np.ndarray:
     """Return the whitened columns (rows, k) of an addition, a wave's at its period."""
     if not hint.period:
-        return _build_plain_columns(rest, family, spec, hint.addition, hint.joints[0])
+        return _build_plain_columns(rest, family, spec, hint.addition, hint.joints)
     poses, a = rest.fitted.poses, family.joints.index(hint.joints[0])
     phase = 2 * np.pi * poses.q[:, [a]] / hint.period
     q = compute_actuated_positions(poses, rest.fitted.state.slack)
@@ -187,14 +193,18 @@ def _list_taken(spec: Spec, addition: str) -> tuple[str, ...]:
 
 
 class _ProjectedResidual:
-    """What a fit leaves, and how to free columns of what it could take up."""
+    """What a fit leaves, and how to free columns of what it could take up.
+
+    The prior's rows follow those of the poses. Without them dimensions would count as free to take up what they could only by
+    leaving the robot file further than it is trusted: a Delta's dimensions are 10 mm off before they do what its drives yield.
+    """
 
     def __init__(self, fitted: GeometryFit) -> None:
         self.fitted = fitted
         self.sigma = fitted.sigma
-        self.q = np.linalg.qr(np.concatenate(fitted.columns))[0]
+        self.q = np.linalg.qr(np.vstack([np.concatenate(fitted.columns), np.diag(fitted.prior_weights)]))[0]
         flat = np.where(fitted.state.ok[:, None], fitted.residuals / self.sigma, 0.0).ravel()
-        self.r = self.free(flat)
+        self.r = self.free(np.concatenate([flat, -fitted.prior_pulls]))
         self.total = float(self.r @ self.r)
         self.left = fitted.n_numbers - fitted.n_estimated
 
@@ -203,12 +213,17 @@ class _ProjectedResidual:
         return columns - self.q @ (self.q.T @ columns)
 
     def twists(self, base: np.ndarray) -> np.ndarray:
-        """Return whitened rows (N m, k) of tool twists (N, 6, k) in the robot's base frame."""
+        """Return whitened rows (rows, k) of tool twists (N, 6, k) in the robot's base frame."""
         state, poses = self.fitted.state, self.fitted.poses
         moved = self.fitted.frames.carried(state.base, base, poses.setup)
         if self.fitted.kind == "forward":
             moved = poses.project_columns(self.fitted.frames.measured(state.base, poses.setup), moved)
-        return (moved[:, : self.sigma.shape[1]] / self.sigma[:, :, None]).reshape(len(self.q), -1)
+        return self.whiten(moved)
+
+    def whiten(self, columns: np.ndarray) -> np.ndarray:
+        """Return whitened rows (rows, k) of derivatives (N, 3 or 6, k); a new effect has no part in the prior's rows."""
+        own = columns[:, : self.sigma.shape[1]] / self.sigma[:, :, None]
+        return np.vstack([own.reshape(self.sigma.size, -1), np.zeros((len(self.fitted.prior_pulls), columns.shape[2]))])
 
     def span(self, columns: np.ndarray) -> np.ndarray:
         """Return a basis (rows, r) of what columns (rows, k) do beside the fitted parameters."""
@@ -234,26 +249,30 @@ class _ProjectedResidual:
         return min(1.0, p * tries), share
 
 
-def _plain(rest: _ProjectedResidual, family: Family, spec: Spec, addition: str, joint: str) -> AdditionTest | None:
-    basis = rest.span(_build_plain_columns(rest, family, spec, addition, joint))
+def _plain(
+    rest: _ProjectedResidual, family: Family, spec: Spec, addition: str, joints: tuple[str, ...]
+) -> AdditionTest | None:
+    basis = rest.span(_build_plain_columns(rest, family, spec, addition, joints))
     if not basis.shape[1] or rest.left <= basis.shape[1]:
         return None
     p, share = rest.judged(float(np.sum((basis.T @ rest.r) ** 2)), basis.shape[1])
-    return AdditionTest(addition, (joint,), p, share)
+    return AdditionTest(addition, joints, p, share)
 
 
-def _build_plain_columns(rest: _ProjectedResidual, family: Family, spec: Spec, addition: str, joint: str) -> np.ndarray:
+def _build_plain_columns(
+    rest: _ProjectedResidual, family: Family, spec: Spec, addition: str, joints: tuple[str, ...]
+) -> np.ndarray:
     """Return the whitened columns (rows, k) of an addition without a period."""
     fitted = rest.fitted
     q = compute_actuated_positions(fitted.poses, fitted.state.slack)
     if addition == "backlash":
-        a = family.joints.index(joint)
+        a = family.joints.index(joints[0])
         slope = _by_joint(fitted, q, a)
         return rest.twists(slope * (-0.5 * fitted.poses.approach[:, None, a : a + 1]))
     if addition == "delay":
         by_joint = measured_by_joint(fitted.geometry, fitted.theta, fitted.poses, q, fitted.state.base)
         return rest.twists(by_joint @ compute_slack_slopes(fitted.poses, fitted.state.slack)[:, :, -1:])
-    return _build_new_columns(rest, family, spec.plus(addition, (joint,)))
+    return _build_new_columns(rest, family, spec.plus(addition, joints))
 
 
 def _build_new_columns(rest: _ProjectedResidual, family: Family, spec: Spec) -> np.ndarray:
@@ -267,9 +286,10 @@ def _build_new_columns(rest: _ProjectedResidual, family: Family, spec: Spec) -> 
     new = [k for k, name in enumerate(names) if name not in old]
     columns = rest.twists(measured_by_parameter(larger, theta, fitted.poses, q, fitted.state.base)[:, :, new])
     touches = np.repeat(fitted.poses.touches, fitted.sigma.shape[1])
-    whitened = np.where(fitted.state.ok[:, None], fitted.residuals / fitted.sigma, 0.0).ravel()
-    slope = compute_size_slope(larger, q) if touches.any() else np.zeros(len(theta))
-    return columns + np.outer(touches * whitened, slope[new])
+    if touches.any():
+        whitened = np.where(fitted.state.ok[:, None], fitted.residuals / fitted.sigma, 0.0).ravel()
+        columns[: len(touches)] += np.outer(touches * whitened, compute_size_slope(larger, q)[new])
+    return columns
 
 
 def _periodic(rest: _ProjectedResidual, family: Family, joint: str, addition: str = "periodic") -> AdditionTest | None:
@@ -343,8 +363,7 @@ def _try_step(
 ) -> tuple[float, float, MoveWithin, int]:
     """Return the p-value, minus the share, the move and the place of a step from a pose on; columns (N, m, p) of its frame."""
     poses = rest.fitted.poses
-    later = np.where(np.arange(poses.n)[:, None, None] >= place, columns / rest.sigma[:, :, None], 0.0)
-    freed = rest.free(np.concatenate(later))
+    freed = rest.free(rest.whiten(np.where(np.arange(poses.n)[:, None, None] >= place, columns, 0.0)))
     move = np.linalg.lstsq(freed, rest.r, rcond=1e-6)[0]
     gain = rest.total - float(np.sum((rest.r - freed @ move) ** 2))
     p, share = rest.judged(gain, len(move), 2 * (poses.n - 2 * _MIN_STEP_POSES + 1))

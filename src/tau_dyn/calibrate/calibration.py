@@ -30,6 +30,7 @@ from tau_dyn.calibrate.measured import (
     number_alike,
     read_encoders_as_meant,
 )
+from tau_dyn.calibrate.model_family import OF_WHOLE, Family, Spec
 from tau_dyn.calibrate.model_selection import (
     CandidateModel,
     Options,
@@ -38,7 +39,7 @@ from tau_dyn.calibrate.model_selection import (
     fit_models,
     fit_widest,
 )
-from tau_dyn.calibrate.models import OF_WHOLE, Family, Spec, get_family
+from tau_dyn.calibrate.models import get_family
 from tau_dyn.calibrate.outliers import (
     MovedFrame,
     check_spread,
@@ -119,6 +120,8 @@ def calibrate(
     """
     robot = as_robot(robot)
     poses, holdout = as_poses(poses, robot), None if holdout is None else as_poses(holdout, robot)
+    for one in (poses, *([holdout] if holdout is not None else [])):
+        _require_place(robot, one)
     options = Options(tuple(fix), tuple(free), residual, robust, device, tool, seed, prior=tuple(prior))
     progress("checking conventions of the pose file")
     poses, holdout, reading, reread = _reread(robot, poses, holdout, options)
@@ -197,6 +200,19 @@ def calibrate(
     if odd:
         found = replace(found, findings=suspect_laws(found.findings))
     return replace(found, findings=suspect_all(found.findings)) if misses or within else found
+
+
+def _require_place(robot: Robot, poses: PoseSet) -> None:
+    """Refuse loads at the tool of a robot whose file has no place for it.
+
+    Raises:
+        InputError: There are loads and no frame of the tool.
+    """
+    if poses.loads.any() and robot.tool_frame is None:
+        raise InputError(
+            "unsupported",
+            f"{poses.source} has loads at the tool, and {robot.source} no frame named tool where they act; add one to the file",
+        )
 
 
 def _check_size(robot: Robot, poses: PoseSet) -> tuple[str, ...]:

@@ -18,8 +18,8 @@ from tau_dyn.calibrate.crossvalidation import compare_paired, cross_validate, ea
 from tau_dyn.calibrate.geometry import ConstrainedGeometry, Geometry, constrain_parameters
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.measured import PoseSet
+from tau_dyn.calibrate.model_family import OF_WHOLE, Family, Spec
 from tau_dyn.calibrate.model_selection import CandidateModel, Options, SelectionStep, fit_geometry, transfer_state
-from tau_dyn.calibrate.models import OF_WHOLE, Family, Spec
 from tau_dyn.calibrate.outliers import MovedFrame
 from tau_dyn.effects import CONVENTIONS, GEOMETRY_CAUSES, GEOMETRY_SENTENCES
 from tau_dyn.evidence import Finding, Gain, explain_gain
@@ -104,6 +104,7 @@ _OF_ADDITION = {
     "backlash": "backlash",
     "coupling": "joint_coupling",
     "gravity": "gravity_deflection",
+    "elastic": "drive_compliance",
     "eccentric": "joint_eccentricity",
     "delay": "joint_delay",
     "tool_frame": "tool_frame",
@@ -118,6 +119,7 @@ _PATTERNS = {
     "transmission_error": ("error",),
     "guideway_not_straight": ("bend_",),
     "guideway_compliance": ("_compliance",),
+    "drive_compliance": ("drive_compliance",),
     "backlash": ("backlash",),
     "gravity_deflection": ("gravity_compliance", "load_deflection"),
     "joint_eccentricity": ("eccentricity_",),
@@ -225,7 +227,7 @@ def find_causes(
             by_dimensions = any(addition == "structure" for addition, _ in rivals)
             rivals = [(addition, place) for addition, place in rivals if addition != "structure"]
             alike = tuple(dict.fromkeys((*alike, *(_OF_ADDITION[addition] for addition, _ in rivals))))
-            places = [place for _, place in rivals if place not in ("/".join(joints), "all")]
+            places = [place for _, place in rivals if place not in (*_list_places(cause, joints), "all")]
             why_not = _ELSEWHERE.format(format_list(places)) if places else _BY_DIMENSIONS if by_dimensions else ""
         shown = holdout is not None and not explain_gain(gain)
         numbers, dof = _parameters(cause, joints, chosen.fit), chosen.fit.dof
@@ -255,15 +257,23 @@ def _list_rivals(
     family: Family, chosen: CandidateModel, cause: str, joints: tuple[str, ...], smaller: GeometryFit, spec: Spec
 ) -> tuple[tuple[str, str], ...]:
     """Return additions and their places that explain these poses as well as a cause; one at its own joint leaves that named."""
-    place = "/".join(joints) or "all"
-    own = [a for a, places in chosen.spec.additions.items() if place in places and _OF_ADDITION[a] == cause]
+    places = _list_places(cause, joints)
+    own = [a for a, at in chosen.spec.additions.items() if set(places) <= set(at) and _OF_ADDITION[a] == cause]
     if not own or own[0] not in family.screened or smaller.kind != "forward":
         return ()
-    return find_rivals(smaller, family, spec, own[0], place)
+    return find_rivals(smaller, family, spec, own[0], places)
+
+
+def _list_places(cause: str, joints: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the places of a cause's addition: drives that yield are several, a coupling is one at two joints."""
+    return joints if cause == "drive_compliance" else ("/".join(joints) or "all",)
 
 
 def _leave_out_causes(family: Family, chosen: CandidateModel) -> list[tuple[str, tuple[str, ...], Geometry, Spec]]:
-    """Return every cause of the model with the geometry that leaves it out."""
+    """Return every cause of the model with the geometry that leaves it out.
+
+    Drives that yield are left out together: they carry the same load, so that the others take up what one does.
+    """
     out: list[tuple[str, tuple[str, ...], Geometry, Spec]] = []
     if chosen.spec.structure != "frames":
         for cause, held in _OF_STRUCTURE.items():
@@ -273,10 +283,14 @@ def _leave_out_causes(family: Family, chosen: CandidateModel) -> list[tuple[str,
             if geometry is not None:
                 out.append((cause, (), geometry, chosen.spec))
     for addition, joints in chosen.spec.additions.items():
-        for joint in joints:
-            left = {a: tuple(j for j in own if (a, j) != (addition, joint)) for a, own in chosen.spec.additions.items()}
-            spec = Spec(chosen.spec.structure, {a: own for a, own in left.items() if own})
-            out.append((_OF_ADDITION[addition], _split_place(joint), family.build(spec, _periods(chosen.fit)), spec))
+        cause = _OF_ADDITION[addition]
+        for places in [joints] if addition == "elastic" else [(joint,) for joint in joints]:
+            kept = tuple(joint for joint in joints if joint not in places)
+            spec = Spec(
+                chosen.spec.structure, {a: own for a, own in {**chosen.spec.additions, addition: kept}.items() if own}
+            )
+            moved = tuple(joint for place in places for joint in _split_place(place))
+            out.append((cause, moved, family.build(spec, _periods(chosen.fit)), spec))
     return out
 
 

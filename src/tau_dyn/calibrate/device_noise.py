@@ -15,8 +15,8 @@ from scipy import stats
 
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.measured import PoseSet
+from tau_dyn.calibrate.model_family import Family
 from tau_dyn.calibrate.model_selection import Options
-from tau_dyn.calibrate.models import Family
 from tau_dyn.calibrate.outliers import fit_robustly
 
 _MAX_FITS = 6  # fits; each brings the weights nearer by a factor of about ten

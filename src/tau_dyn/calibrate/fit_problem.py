@@ -209,7 +209,9 @@ class Problem:
 
     def _closure(self, state: FitState, at: Poses) -> Closure:
         return self._require(
-            self.geometry.closure(state.theta, compute_actuated_positions(self.poses, state.slack), at)
+            self.geometry.under(self.poses.loads).closure(
+                state.theta, compute_actuated_positions(self.poses, state.slack), at
+            )
         )
 
     def _require(self, found: Closure | None) -> Closure:
@@ -373,7 +375,7 @@ class WeightedProblem:
         r, w = self.whiten(state)
         columns = self.columns(state, w).reshape(r.size, len(self.free))
         rows = np.vstack([columns, np.diag(self.trust / self.scales)])
-        target = np.concatenate([(r * np.sqrt(w)[:, None]).ravel(), -self._prior(state)])
+        target = np.concatenate([(r * np.sqrt(w)[:, None]).ravel(), -self.compute_prior(state)])
         return factor_system(rows, target, self.scales, _RANK_TOLERANCE)
 
     def move(self, state: FitState, step: np.ndarray) -> FitState:
@@ -387,7 +389,7 @@ class WeightedProblem:
         if trial.ok.sum() < state.ok.sum():
             return -np.inf
         (before, w), (after, _) = self.whiten(state), self.whiten(trial)
-        prior = np.sum(self._prior(state) ** 2) - np.sum(self._prior(trial) ** 2)
+        prior = np.sum(self.compute_prior(state) ** 2) - np.sum(self.compute_prior(trial) ** 2)
         return float(np.sum(w[:, None] * (before**2 - after**2)) + prior)
 
     def deviation(self, state: FitState) -> np.ndarray:
@@ -396,7 +398,8 @@ class WeightedProblem:
         values = np.concatenate([state.theta, frames, state.slack])
         return np.where(self.homeless, 0.0, (values - self.nominal)[self.free])
 
-    def _prior(self, state: FitState) -> np.ndarray:
+    def compute_prior(self, state: FitState) -> np.ndarray:
+        """Return how far free unknowns are from nominal (f,), in standard deviations of the prior."""
         return self.deviation(state) / self.scales * self.trust
 
     def estimate_noise(self, state: FitState) -> tuple[float, ...]:

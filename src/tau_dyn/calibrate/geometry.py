@@ -104,6 +104,14 @@ class Geometry(Brief, ABC):
         """Units of `q`: `m` of a slide, `rad` of a turn."""
         return self.robot.position_units
 
+    def under(self, loads: np.ndarray) -> Geometry:
+        """Return the geometry itself: nothing of it yields."""
+        return self
+
+    def split_springs(self, theta: np.ndarray) -> tuple[Geometry, np.ndarray, dict[str, tuple[str, float]]]:
+        """Return the geometry itself and no springs."""
+        return self, theta, {}
+
     def passive(self, theta: np.ndarray, q: np.ndarray, joints: Sequence[str]) -> np.ndarray:
         """Return the positions (N, k) of passive joints that close the loops, nan where they cannot be closed.
 
@@ -179,6 +187,11 @@ class ConstrainedGeometry(Geometry):
     def full(self, theta: np.ndarray) -> np.ndarray:
         """Return the original's parameters (p,)."""
         return self.geometry.parameters.values + self.matrix @ (theta - self.parameters.values)
+
+    def under(self, loads: np.ndarray) -> Geometry:
+        """Return the geometry under loads at the tool (N, 7)."""
+        inner = self.geometry.under(loads)
+        return self if inner is self.geometry else replace(self, geometry=inner)
 
     def forward(self, theta: np.ndarray, q: np.ndarray, start: Poses | None = None) -> Predicted:
         """Return tool poses."""

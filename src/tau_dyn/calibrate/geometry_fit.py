@@ -93,6 +93,7 @@ def compute_structural_rank(problem: Problem) -> int:
         arc_radius=poses.arc_radius,
         approach=np.sign(rng.standard_normal(q.shape)),
         speed=rng.standard_normal(q.shape),
+        loads=poses.loads[number % poses.n],
     )
     wide = replace(problem, poses=many)
     n = unknowns.n_device // 6
@@ -125,6 +126,8 @@ class GeometryFit(Brief):
         weights: Of the poses (N,).
         identifiability: What could be told.
         columns: Whitened derivatives of the kept unknowns (N, m, r), for predictions and cross-validation.
+        prior_weights: Of the prior of the kept unknowns (r,), over their standard deviation.
+        prior_pulls: How far these are from nominal (r,), in standard deviations.
         steps: Gauss-Newton steps taken.
         converged: Whether it came to rest.
     """
@@ -140,6 +143,8 @@ class GeometryFit(Brief):
     weights: np.ndarray
     identifiability: Identifiability
     columns: np.ndarray
+    prior_weights: np.ndarray
+    prior_pulls: np.ndarray
     steps: int
     converged: bool
 
@@ -197,7 +202,8 @@ class GeometryFit(Brief):
             return self.poses.as_poses().spread
         if not self.poses.of_encoders.any():
             return measure_spread(self.state.base.position[self.state.ok])
-        tool = self.geometry.forward(self.theta, compute_actuated_positions(self.poses, self.state.slack))
+        q = compute_actuated_positions(self.poses, self.state.slack)
+        tool = self.geometry.under(self.poses.loads).forward(self.theta, q)
         return measure_spread(tool.poses.position[tool.ok])
 
     @property
@@ -294,10 +300,16 @@ class GeometryFit(Brief):
         ok = self.state.ok
         return compute_mean_rotation(np.swapaxes(seen.rotation[ok], 1, 2) @ self.poses.rotation[ok])
 
-    def model_error(self, q: np.ndarray) -> np.ndarray:
-        """Return the standard deviation (N,) [m] of the predicted position from the parameters' uncertainty alone."""
-        at, base = np.zeros((len(q), 2), int), self.geometry.forward(self.theta, q).poses
-        twist = self.geometry.tool_by_parameter(self.theta, q, base)
+    def model_error(self, q: np.ndarray, loads: np.ndarray | None = None) -> np.ndarray:
+        """Return the standard deviation (N,) [m] of the predicted position from the parameters' uncertainty alone.
+
+        Args:
+            q: Actuated positions (N, na) [m or rad].
+            loads: At the tool (N, 7) as in `PoseSet`, none unless given.
+        """
+        geometry = self.geometry if loads is None else self.geometry.under(loads)
+        at, base = np.zeros((len(q), 2), int), geometry.forward(self.theta, q).poses
+        twist = geometry.tool_by_parameter(self.theta, q, base)
         columns = self._compute_columns(twist, base, at)[:, :3, self.unknowns.free]
         return np.sqrt(np.maximum(np.einsum("nif,fg,nig->n", columns, self.cov, columns), 0.0))
 
@@ -327,7 +339,7 @@ class GeometryFit(Brief):
         setup, u = place.poses.setup, self.unknowns
         seen, twist = (
             place.frames.measured(base, setup),
-            self.geometry.tool_by_parameter(self.theta, place.poses.q, base),
+            self.geometry.under(place.poses.loads).tool_by_parameter(self.theta, place.poses.q, base),
         )
         columns, tool = np.zeros((len(setup), 6, len(u.rows))), u.n_geometry + u.n_device
         columns[:, :, : u.n_geometry] = place.frames.carried(base, twist, setup)
@@ -435,6 +447,8 @@ def _solve(problem: Problem, robust: str, noise: tuple[float, ...] | None, state
         weights=weights,
         identifiability=found,
         columns=columns,
+        prior_weights=(weighted.trust / weighted.scales)[found.kept],
+        prior_pulls=weighted.compute_prior(state)[found.kept],
         steps=steps,
         converged=converged,
     )
@@ -494,8 +508,9 @@ def compute_sensitivities(fitted: GeometryFit, change: float = CHANGE) -> tuple[
     state = fitted.state
     ok = state.ok
     q, base = fitted.poses.q[ok], state.base.take(ok)
-    twist = fitted.geometry.tool_by_parameter(fitted.theta, q, base)
-    closure = fitted.geometry.closure(fitted.theta, q, base)
+    geometry = fitted.geometry.under(fitted.poses.loads[ok])
+    twist = geometry.tool_by_parameter(fitted.theta, q, base)
+    closure = geometry.closure(fitted.theta, q, base)
     moved = 2 * change * np.linalg.norm(twist[:, :3], axis=1).sum(axis=0)
     turned = 2 * change * np.linalg.norm(twist[:, 3:], axis=1).sum(axis=0)
     gaps = (

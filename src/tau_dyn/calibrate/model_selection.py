@@ -25,7 +25,7 @@ from tau_dyn.calibrate.frames import IDENTITY, DeviceFrames
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.geometry_fit import GeometryFit, fit_geometry_to_poses
 from tau_dyn.calibrate.measured import PoseErrors, PoseSet
-from tau_dyn.calibrate.models import OF_WHOLE, Family, Spec
+from tau_dyn.calibrate.model_family import OF_WHOLE, Family, Spec
 from tau_dyn.calibrate.unknowns import DELAY
 from tau_dyn.evidence import Gain, find_out_of_range
 from tau_dyn.exceptions import CannotAnswer, InputError, UnknownName

@@ -19,8 +19,8 @@ from tau_dyn.calibrate.crossvalidation import compare_paired
 from tau_dyn.calibrate.frames import AXES, DeviceFrames, Frame, compute_rotation_between, is_flat
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.measured import PoseErrors, PoseSet
+from tau_dyn.calibrate.model_family import Family, Spec
 from tau_dyn.calibrate.model_selection import CandidateModel, Options, fit_geometry, fit_spec
-from tau_dyn.calibrate.models import Family, Spec
 from tau_dyn.estimate import DescentRules, LinearSystem, descend, factor_system
 from tau_dyn.evidence import Gain, explain_gain
 from tau_dyn.exceptions import CannotAnswer, InputError
@@ -68,7 +68,8 @@ def drop_duplicate_poses(poses: PoseSet) -> tuple[PoseSet, tuple[str, ...]]:
     The same joints measured again with other noise are a repeated measurement and stay.
     """
     rotation = np.zeros((poses.n, 9)) if poses.rotation is None else poses.rotation.reshape(-1, 9)
-    rows = np.round(np.column_stack([poses.q, poses.position, rotation, poses.setup]) / _MAX_DUPLICATE_DISTANCE)
+    columns = [poses.q, poses.position, rotation, poses.setup, poses.loads]
+    rows = np.round(np.column_stack(columns) / _MAX_DUPLICATE_DISTANCE)
     _, first = np.unique(rows, axis=0, return_index=True)
     if len(first) == poses.n:
         return poses, ()

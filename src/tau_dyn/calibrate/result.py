@@ -93,7 +93,7 @@ class Calibration(Shown):
         if encoders.all():
             return None
         at = at.take(~encoders)
-        stated, model = at.position_stderr, self.fit.model_error(at.q)
+        stated, model = at.position_stderr, self.fit.model_error(at.q, at.loads)
         share = at.numbers / 3
         noise = 3 * self.measured.position**2 * float(np.mean(share))
         if self.measured.source == "columns" and stated is not None:

@@ -19,7 +19,7 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.geometry import Closure, Geometry, Predicted
-from tau_dyn.calibrate.joint_laws import Displaced, Law, displace
+from tau_dyn.calibrate.laws import CartComplianceLaw, Displaced, Law, displace
 from tau_dyn.calibrate.robot_file import format_corrected_rods
 from tau_dyn.mechanism import (
     AXES,
@@ -117,6 +117,11 @@ class RodGeometry(Geometry):
     def _turning(self) -> dict[int, ChainJoint]:
         """Turning joints by their places in the chains; those of arms have no dimensions of their own."""
         return {} if self.rods.numbers.arms else {k: j for k, j in enumerate(self.rods.numbers.joints) if not j.slides}
+
+    def under(self, loads: np.ndarray) -> Geometry:
+        """Return the geometry under loads at the tool (N, 7), which its carts yield to."""
+        laws = tuple(replace(law, at_tool=loads) if isinstance(law, CartComplianceLaw) else law for law in self.laws)
+        return replace(self, laws=laws) if loads.any() and self.laws else self
 
     def forward(self, theta: np.ndarray, q: np.ndarray, start: Poses | None = None) -> Predicted:
         """Return tool poses: Newton from `start`, or from where the nominal robot is."""

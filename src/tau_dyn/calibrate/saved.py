@@ -14,7 +14,7 @@ Parameters are listed with the nominal and the calibrated value, so that a perso
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,13 +26,14 @@ from tau_dyn.calibrate.compensation import Compensation, build_compensation
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.calibrate.geometry import Geometry, Predicted, expand_constraints
 from tau_dyn.calibrate.measured import ENCODERS, KINDS, PoseSet
-from tau_dyn.calibrate.models import Spec, get_family
+from tau_dyn.calibrate.model_family import Spec
+from tau_dyn.calibrate.models import get_family
 from tau_dyn.calibrate.result import Calibration
 from tau_dyn.calibrate.rod_geometry import RodGeometry
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_yaml, write_whole
-from tau_dyn.mechanism import Poses, Rods, build_rods, forward_kinematics
+from tau_dyn.mechanism import Poses, Rods, build_rods, forward_kinematics, state_springs
 from tau_dyn.robot import Robot, load_robot_from_urdf
 
 _MAX_MISFIT = 1e-9  # [m] between the written file's tool and the calibrated one: rounding
@@ -50,6 +51,7 @@ class CalibratedRobot:
         frames: Device and target.
         slack: Backlash of the actuated joints (na,) [m or rad].
         model: The model's name.
+        stderr: Standard errors of its parameters by name, of those that were estimated.
     """
 
     robot: Robot
@@ -58,6 +60,7 @@ class CalibratedRobot:
     frames: DeviceFrames
     slack: np.ndarray
     model: str
+    stderr: Mapping[str, float] = field(default_factory=dict)
 
     def forward(self, q: np.ndarray, start: Poses | None = None) -> Predicted:
         """Return tool poses in the robot's base frame at `q` (N, na), in the middle of the backlash."""
@@ -68,10 +71,11 @@ class CalibratedRobot:
         return self.frames.measured(self.forward(q).poses, np.zeros(len(q), int))
 
     def build_robot(self, source: str = "") -> Robot:
-        """Return a robot whose file has the calibrated dimensions; `source` is how messages call it.
+        """Return a robot whose file has the calibrated dimensions and the drives' springs; `source` is how messages call it.
 
         Raises:
-            InputError: What a robot file cannot say: laws of joints, gear ratios of turns, sides of a triangle of rods.
+            InputError: What a robot file cannot say: laws of joints, gear ratios of turns, sides of a triangle of rods, a load
+                at the tool that nobody knows.
         """
         source = source or self.robot.source
         geometry, (theta,) = expand_constraints(self.geometry, self.theta)
@@ -81,6 +85,10 @@ class CalibratedRobot:
                 f"{source}: a robot file cannot hold this calibration, which has {geometry.beyond_file}; correct joint "
                 "positions by calibrate --correct, or use load_calibration in Python",
             )
+        try:
+            geometry, theta, springs = geometry.split_springs(theta)
+        except InputError as fault:
+            raise InputError(fault.code, f"{source}: {fault}") from fault
         urdf = geometry.format_urdf(theta)
         found = load_robot_from_urdf(urdf, source, actuated=self.robot.actuated, tool=self.robot.tool or None)
         q = found.home[None]
@@ -91,7 +99,12 @@ class CalibratedRobot:
                     "unsupported",
                     f"{source}: the rods share joints in the robot file, which cannot hold each one's dimensions",
                 )
-        return found
+        return self._state_springs(found, springs) if springs else found
+
+    def _state_springs(self, robot: Robot, springs: Mapping[str, tuple[str, float]]) -> Robot:
+        """Return a robot with the drives' springs in its file: stiffness `1 / c`, standard error `s_c / c^2`."""
+        errors = {joint: self.stderr.get(name, 0.0) / c**2 for joint, (name, c) in springs.items()}
+        return state_springs(robot, drives={joint: 1 / c for joint, (_, c) in springs.items()}, drive_stderrs=errors)
 
     @property
     def rods(self) -> Rods:
@@ -117,6 +130,7 @@ def save_calibration(path: str | Path, found: Calibration) -> None:
     """
     robot, fitted = found.robot, found.fit
     spec = found.chosen.spec
+    errors = {p.name: p.stderr for p in fitted.parameters if p.stderr is not None}
     content = {
         "model": {
             "name": found.chosen.name,
@@ -128,6 +142,7 @@ def save_calibration(path: str | Path, found: Calibration) -> None:
         ],
         "parameters": [
             {"name": p.name, "value": float(v), "unit": p.unit, "nominal": p.value}
+            | ({"stderr": errors[p.name]} if p.name in errors else {})
             for p, v in zip(fitted.geometry.parameters, fitted.theta, strict=True)
         ],
         "backlash": [float(x) for x in fitted.state.slack[:-1]],
@@ -189,7 +204,10 @@ def _built(content: Mapping[str, Any]) -> CalibratedRobot:
     slack = np.array(content["backlash"], float)
     if slack.shape != (robot.na,) or not np.isfinite(slack).all():
         raise InputError("file_format", "backlash needs a number for each actuated joint")
-    return CalibratedRobot(robot, geometry, theta, frames, slack, str(content["model"]["name"]))
+    stderr = {row["name"]: float(row["stderr"]) for row in content["parameters"] if "stderr" in row}
+    if not all(0 <= x < np.inf for x in stderr.values()):
+        raise InputError("file_format", "a standard error is below zero or not a number")
+    return CalibratedRobot(robot, geometry, theta, frames, slack, str(content["model"]["name"]), stderr)
 
 
 def _frame(frame: Frame) -> dict[str, list[float]]:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate.frames import DeviceFrames, Frame
 from tau_dyn.calibrate.geometry import Geometry
-from tau_dyn.calibrate.measured import POSITION, QUATERNION, PoseSet
+from tau_dyn.calibrate.measured import LOADS, POSITION, QUATERNION, PoseSet
 from tau_dyn.mechanism import convert_to_quaternions
 
 TRACKER = DeviceFrames(
@@ -32,6 +32,7 @@ def simulate_poses(
     campaign: np.ndarray | None = None,
     target: np.ndarray | None = None,
     device: np.ndarray | None = None,
+    loads: np.ndarray | None = None,
     source: str = "simulated poses",
 ) -> PoseSet:
     """Return noisy poses of a robot.
@@ -49,13 +50,15 @@ def simulate_poses(
         target: Target of each pose (N,); without it the campaign's.
         device: Device of each pose (N,), whose kinds and lengths stand in the frames; then there is one campaign. What touches
             must be reached at `q`.
+        loads: At the tool (N, 7) as in `PoseSet`; none unless given.
         source: Name, for messages.
     """
     campaign = np.zeros(len(q), int) if campaign is None else campaign
     of_target = np.zeros(len(q), int) if target is None else target
     step = np.sign(np.diff(q, axis=0, prepend=q[:1]))
     real = q if backlash is None else q - 0.5 * step * backlash
-    found = geometry.forward(theta, real)
+    loads = np.zeros((len(q), 7)) if loads is None else loads
+    found = geometry.under(loads).forward(theta, real)
     first, second = (campaign, campaign) if device is None else (device, np.zeros(len(q), int))
     setup = np.column_stack([first, second if target is None else target])
     seen, keep, kinds = frames.measured(found.poses, setup), found.ok, frames.kinds or ("pose",)
@@ -81,6 +84,7 @@ def simulate_poses(
         devices=tuple(str(k + 1) for k in range(len(kinds))),
         kinds=kinds,
         approach=step[keep],
+        loads=loads[keep],
         source=source,
     )
 
@@ -96,6 +100,9 @@ def format_csv(poses: PoseSet, actuated: Sequence[str]) -> str:
     if poses.approach.any():
         columns += [f"v_{joint}" for joint in actuated]
         data.append(poses.approach)
+    if poses.loads.any():
+        columns += LOADS
+        data.append(poses.loads)
     if len(poses.campaigns) > 1:
         columns.append("campaign")
         data.append(poses.campaign[:, None] + 1)

@@ -43,12 +43,12 @@ def calibrate(
 
     Args:
         poses: Q_J of every actuated joint and x_tool y_tool z_tool [qx_tool ..] in the measuring device's frame, or
-            distance_tool, hole, plane, sphere
+            distance_tool, hole, plane, sphere; known loads at the tool in load [kg], fx_tool .. [N], mx_tool .. [N m]
         holdout: Poses used only for the final errors (default: a quarter of many poses, or cross-validation)
         encoders: Passive joints of loops whose positions q_J were measured, in addition to the tool or instead of it
         model: auto; frames, ideal, nonparallel, complete or paths, as the robot offers them; with +periodic, +piecewise,
-            +compliant, +backlash, +delay, +gravity, +eccentric, +coupling:j3/j2 (a share) or coupling:j3=-j2 (all), each
-            optionally with joints: nonparallel+periodic:cart2
+            +compliant, +elastic, +backlash, +delay, +gravity, +eccentric, +coupling:j3/j2 (a share) or coupling:j3=-j2 (all),
+            each optionally with joints: nonparallel+periodic:cart2
         residual: Residual to minimise
         robust: Weights (gross outliers are left out in any case)
         known: Known frames: the device measures in the robot's base frame, the target is the tool frame

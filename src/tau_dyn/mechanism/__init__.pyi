@@ -1,5 +1,6 @@
 """A robot as a mechanism: loops closed, poses of the tool and back, forces and regressor in actuated coordinates."""
 
+from .batched import WeightArms as WeightArms
 from .chain_inverse import RootChain as RootChain, build_chains as build_chains
 from .flexible import (
     L1_DRIVES as L1_DRIVES,

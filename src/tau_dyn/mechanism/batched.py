@@ -137,6 +137,20 @@ class Partial(NamedTuple):
     angular: Vector
 
 
+class WeightArms(NamedTuple):
+    """Factors of gravity's direction, body by body.
+
+    Attributes:
+        bodies: Joints that carry the bodies (b,).
+        places: Mass times place of each body in the base frame (N, b, 3) [kg m].
+        rates: Change of the places per actuated speed (N, na, b, 3), [kg m] of a turn, [kg] of a slide; `tau = -rates . g`.
+    """
+
+    bodies: tuple[str, ...]
+    places: np.ndarray
+    rates: np.ndarray
+
+
 class BatchedTree:
     """Dynamics of one robot for arrays of samples; see `Mechanism` for what each method returns."""
 
@@ -184,6 +198,25 @@ class BatchedTree:
                     M[partial.movers, other, part] += body.power(*compute_momentum(*one, self.pi[link.joint_id]))
         M[range(self.robot.na), range(self.robot.na)] += self.drive[:, None]
         return M.transpose(2, 0, 1)
+
+    def weight_arms(self, q: np.ndarray) -> WeightArms:
+        """Return first moments of all bodies and how they move (N); gravity alone feels some masses, which count."""
+        places = np.zeros((len(self._links), 3, len(q)))
+        rates = np.zeros((self.robot.na, len(self._links), 3, len(q)))
+        for part in iterate_blocks(len(q)):
+            closed = self.loops.close(q[part])
+            partials = self._partials(closed)
+            for k, (link, _, _) in enumerate(self._links):
+                joint, pi = link.joint_id, self.pi[link.joint_id]
+                held = [(w.mass, w.mass * w.local) for w in self.weights if w.joint == joint]
+                mass, moment = pi[0] + sum(m for m, _ in held), pi[1:4] + sum(h for _, h in held)
+                arm, partial = np.einsum("ijn,j->in", closed.at.rotation[joint], moment), partials[joint]
+                places[k, :, part] = mass * closed.at.origin[joint] + arm
+                moved, turning = mass * partial.linear, compute_cross_product(partial.angular, arm[:, None])
+                moved = moved if turning is None else moved + turning
+                rates[partial.movers, k, :, part] = moved.transpose(1, 0, 2)
+        names = tuple(str(self.solver.model.names[link.joint_id]) for link, _, _ in self._links)
+        return WeightArms(names, places.transpose(2, 0, 1), rates.transpose(3, 0, 1, 2))
 
     def tool_position(self, q: np.ndarray) -> np.ndarray:
         """Return the tool's position (N, 3) [m]."""

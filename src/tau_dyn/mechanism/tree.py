@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.mechanism.batched import BatchedTree, iterate_blocks
+from tau_dyn.mechanism.batched import BatchedTree, WeightArms, iterate_blocks
 from tau_dyn.mechanism.frames import Joint, add_vectors, list_joints, rotate_into_frame
 from tau_dyn.mechanism.gantry_tau import GantryTauMechanism
 from tau_dyn.mechanism.loops import Constraints, LoopSolver, compute_turning_rates, find_passive_pairs
@@ -354,6 +354,17 @@ class TreeMechanism(SamplewiseTree):
         x, *rates = (np.asfortranarray(share @ one.T) for one in self._checked(q, v, a))
         tree = pin.rneaInParallel(1, pin.ModelPool(self.model, 1), x + offset[:, None], *rates)
         return np.ascontiguousarray((share.T @ tree.reshape(x.shape)).T)
+
+    def weight_arms(self, q: np.ndarray) -> WeightArms:
+        """Return what gravity is multiplied by at actuated positions (N, na): forces at rest, body by body.
+
+        Raises:
+            InputError: The robot has a joint of several freedoms.
+            LoopClosureError: The robot cannot reach a position.
+        """
+        if self.batched is None:
+            raise InputError("unsupported", f"{self.robot.source}: a joint has several freedoms")
+        return self.batched.weight_arms(*self._checked(q))
 
     def inertia(self, q: np.ndarray) -> np.ndarray:
         """Return the mass matrix (N, na, na); of a tree without loops by Pinocchio's composite bodies, sample by sample."""

@@ -17,6 +17,7 @@ import numpy as np
 from tau_dyn.calibrate.conventions.readings import PoseReading, Reading, apply_reading
 from tau_dyn.calibrate.conventions.search import FoundReading
 from tau_dyn.calibrate.measured import (
+    LOADS,
     POSITION,
     QUATERNION,
     PoseSet,
@@ -53,7 +54,8 @@ def build_pose_proposal(
     words = {word for column in table.cells for word in split_words(column)}
     if not all(name in sources for name in (*joints, *POSITION)) or words & _OF_LOGS:
         return None
-    names = [*joints, *POSITION, *(QUATERNION if all(name in sources for name in QUATERNION) else ())]
+    turned = QUATERNION if all(name in sources for name in QUATERNION) else ()
+    names = [*joints, *POSITION, *turned, *(name for name in LOADS if name in table.cells)]
     plain = {
         name: Source(sources[name], get_unit_factor(sources[name]) if sources[name] != name else 1.0) for name in names
     }

@@ -16,6 +16,7 @@ from .errors import (
     estimate_measurement_noise as estimate_measurement_noise,
 )
 from .kinds import ENCODERS as ENCODERS, KINDS as KINDS, TOUCHES as TOUCHES, find_directions as find_directions
+from .loads import LOADS as LOADS
 from .pose_set import (
     PoseSet as PoseSet,
     join_pose_sets as join_pose_sets,

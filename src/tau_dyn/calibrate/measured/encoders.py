@@ -34,7 +34,8 @@ def predict_measured(
     geometry: Geometry, theta: np.ndarray, poses: PoseSet, q: np.ndarray, start: Poses | None = None
 ) -> Predicted:
     """Return tool poses at the positions `q` (N, na) of measured poses; of an encoder its arc or travel along x."""
-    found, rows = geometry.forward(theta, q, start), poses.of_encoders
+    geometry, rows = geometry.under(poses.loads), poses.of_encoders
+    found = geometry.forward(theta, q, start)
     if not rows.any():
         return found
     position, rotation, ok = found.poses.position.copy(), found.poses.rotation.copy(), found.ok.copy()
@@ -50,12 +51,14 @@ def measured_by_parameter(
     geometry: Geometry, theta: np.ndarray, poses: PoseSet, q: np.ndarray, at: Poses
 ) -> np.ndarray:
     """Return the derivative of `predict_measured` as twists per parameter (N, 6, p)."""
+    geometry = geometry.under(poses.loads)
     tool = geometry.tool_by_parameter(theta, q, at)
     return _replace_rows(tool, poses, lambda joints: geometry.passive_by_parameter(theta, q, joints))
 
 
 def measured_by_joint(geometry: Geometry, theta: np.ndarray, poses: PoseSet, q: np.ndarray, at: Poses) -> np.ndarray:
     """Return the derivative of `predict_measured` as twists per actuated joint (N, 6, na)."""
+    geometry = geometry.under(poses.loads)
     tool = geometry.tool_by_joint(theta, q, at)
     return _replace_rows(tool, poses, lambda joints: geometry.passive_by_joint(theta, q, joints))
 

@@ -183,12 +183,12 @@ def estimate_measurement_noise(poses: PoseSet, accuracy: tuple[float, ...] = ())
 
 
 def _from_repeats(poses: PoseSet) -> MeasurementNoise:
-    """Return the pooled standard deviation of poses measured several times with the same joints, in one campaign.
+    """Return the pooled standard deviation of poses measured several times with the same joints and loads, in one campaign.
 
     Touches repeat without scatter, whatever their noise. Encoders count where nothing of the tool was measured.
     """
     poses = poses.take(~poses.touches & ~(poses.of_encoders & (not poses.of_encoders.all())))
-    rows = np.column_stack([poses.configuration, poses.setup])
+    rows = np.column_stack([poses.configuration, poses.setup, poses.loads])
     _, group = np.unique(rows, axis=0, return_inverse=True)
     group = group.ravel()
     more = poses.n - len(np.unique(group))

@@ -52,6 +52,7 @@ class PoseSet(Brief):
         speed: Of each actuated joint at the pose (N, na) [m/s or rad/s]; zeros where it stood still or nobody knows.
         acceleration: The same (N, na) [m/s^2 or rad/s^2].
         jerk: The same (N, na) [m/s^3 or rad/s^3]; known with the acceleration, of a recording.
+        loads: Weight that hangs at the tool [kg], force [N] and moment [N m] on it in the robot's base axes (N, 7).
         position_stderr: Standard errors of the measured coordinates (N, 3) [m], None where none are stated.
         rotation_stderr: Of the measured orientation about each axis (N,) [rad], None where none are stated.
         angles: Three numbers of the orientation as written (N, 3), which `rotation` takes for rotation vectors; None where four
@@ -78,6 +79,7 @@ class PoseSet(Brief):
     speed: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     acceleration: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     jerk: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    loads: np.ndarray = field(default_factory=lambda: np.zeros((0, 7)))
     position_stderr: np.ndarray | None = None
     rotation_stderr: np.ndarray | None = None
     angles: np.ndarray | None = None
@@ -104,6 +106,8 @@ class PoseSet(Brief):
             object.__setattr__(self, "target", np.zeros(n, int))
         if len(self.device) != n:
             object.__setattr__(self, "device", np.zeros(n, int))
+        if len(self.loads) != n:
+            object.__setattr__(self, "loads", np.zeros((n, 7)))
         for name in ("approach", "speed", "acceleration", "jerk"):
             if getattr(self, name).shape != np.shape(self.q):
                 object.__setattr__(self, name, np.zeros(np.shape(self.q)))
@@ -259,6 +263,7 @@ class PoseSet(Brief):
             speed=self.speed[index],
             acceleration=self.acceleration[index],
             jerk=self.jerk[index],
+            loads=self.loads[index],
             position_stderr=None if self.position_stderr is None else self.position_stderr[index],
             rotation_stderr=None if self.rotation_stderr is None else self.rotation_stderr[index],
             angles=None if self.angles is None else self.angles[index],
@@ -429,6 +434,7 @@ def join_pose_sets(sets: Sequence[PoseSet]) -> PoseSet:
         speed=np.concatenate([s.speed for s in sets]),
         acceleration=np.concatenate([s.acceleration for s in sets]),
         jerk=np.concatenate([s.jerk for s in sets]),
+        loads=np.concatenate([s.loads for s in sets]),
         position_stderr=_join_stated(sets, "position_stderr"),
         rotation_stderr=_join_stated(sets, "rotation_stderr"),
         angles=_join_stated(sets, "angles"),

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from tau_dyn.calibrate.measured.columns import ANGLES, name_pose_columns, read_angles
 from tau_dyn.calibrate.measured.encoders import PassiveEncoders
 from tau_dyn.calibrate.measured.kinds import TOUCHES
+from tau_dyn.calibrate.measured.loads import read_loads
 from tau_dyn.calibrate.measured.pose_set import PoseSet, join_pose_sets
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import ColumnMap, Table, compute_mapped_columns, format_names, is_blank, read_table
@@ -57,7 +58,8 @@ def read_poses(
     warning (`columns.py`). `x_tool_stderr` .. `z_tool_stderr` [m] and `rot_tool_stderr` [rad] are standard errors that
     weigh the poses; a zero counts as the smallest of its column above zero. A column `campaign` tells measuring campaigns apart,
     a column `target` the targets on the tool, a column `device` the devices; the signs of `v_J` tell from which side a joint
-    came, and without them the order of the file does.
+    came, and without them the order of the file does. Known loads on the tool stand in `load` [kg], `fx_tool` .. [N] and
+    `mx_tool` .. [N m] (`loads.py`).
 
     A row may give something else than a position: `distance_tool` [m] from the point that `device` names, or the name of what
     the target touches in a column `hole`, `plane` or `sphere`. Passive joints with encoders are read from their columns `q_J`,
@@ -97,6 +99,7 @@ def read_poses(
         speed=motion[0],
         acceleration=motion[1],
         jerk=motion[2],
+        loads=read_loads(table),
         source=table.name,
         sha256=table.sha256,
         warnings=table.warnings,

@@ -30,13 +30,20 @@ def name_rod_spring(rod: str) -> str:
     return f"{rod}_stretch"
 
 
-def state_springs(robot: Robot, *, rods: float | None = None, drives: Mapping[str, float] | None = None) -> Robot:
+def state_springs(
+    robot: Robot,
+    *,
+    rods: float | None = None,
+    drives: Mapping[str, float] | None = None,
+    drive_stderrs: Mapping[str, float] | None = None,
+) -> Robot:
     """Return a robot with springs of these stiffnesses in its file, in place of those that it has there.
 
     Args:
         robot: The robot, with the masses of its file.
         rods: Stiffness of each rod with its joints [N/m], inf for rigid; None leaves the rods as they are.
         drives: Stiffness between drive and link by actuated joint [N/m or N m/rad], inf for rigid.
+        drive_stderrs: Standard errors of the drives' stiffness by joint, none unless given.
 
     Raises:
         InputError: A stiffness is not above zero, the robot has no rods that can be given springs, or its masses are not
@@ -52,7 +59,7 @@ def state_springs(robot: Robot, *, rods: float | None = None, drives: Mapping[st
         if joint not in robot.actuated:
             raise UnknownName("actuated joint", joint, robot.actuated)
         _require_positive(stiffness, f"the drive of '{joint}'")
-        _set_spring(root, "drive_spring", joint, stiffness)
+        _set_spring(root, "drive_spring", joint, stiffness, (drive_stderrs or {}).get(joint, 0.0))
     return load_robot_from_urdf(
         tostring(root, encoding="unicode"),
         robot.source,
@@ -69,12 +76,13 @@ def _require_positive(stiffness: float, what: str) -> None:
         raise InputError("invalid_value", f"the stiffness of {what} must be above zero, not {stiffness}")
 
 
-def _set_spring(root: Element, tag: str, joint: str, stiffness: float) -> None:
-    """Replace a joint's spring of a kind; infinity leaves none."""
+def _set_spring(root: Element, tag: str, joint: str, stiffness: float, stderr: float = 0.0) -> None:
+    """Replace a joint's spring of a kind; infinity leaves none, a standard error of zero is not written."""
     for old in [e for e in root.findall(_OURS + tag) if e.get("joint") == joint]:
         root.remove(old)
     if np.isfinite(stiffness):
-        SubElement(root, _OURS + tag, {"joint": joint, "stiffness": repr(float(stiffness))})
+        known = {"stiffness_stderr": repr(float(stderr))} if stderr > 0 else {}
+        SubElement(root, _OURS + tag, {"joint": joint, "stiffness": repr(float(stiffness)), **known})
 
 
 def _state_rods(robot: Robot, root: Element, stiffness: float) -> None:

@@ -28,6 +28,7 @@ ADDED = {
     "backlash": "backlash",
     "coupling": "joint coupling",
     "gravity": "gravity deflection",
+    "elastic": "drive compliance",
     "eccentric": "joint eccentricity",
     "delay": "joints read earlier or later than the tool",
     "tool_frame": "the target moved between campaigns",

@@ -5,7 +5,7 @@ A `Law` of a joint changes the position that it really has, `q_real = q + sum of
 - periodic errors of pinions, racks and resolvers, `e = s sin(2 pi q / T) + c cos(2 pi q / T)`;
 - eccentricity of an encoder disc, `e = s sin q + c cos q`;
 - coupling, `e = k q_other`: another joint's drive turns this one along;
-- compliance of a drive, `e = c F . n`, `F` the rods' pull; what an arm's joints yield to gravity stands in `gravity.py`.
+- compliance of drives stands in `elastic_drives.py`.
 
 One of a guideway displaces rod ends that its slide carries, `A = A_0 + d(q)`, in base axes. Laws are given `q` alone, so that
 forward kinematics stays a function of `q`; a load-dependent law takes its loads from the nominal robot, whose errors change them
@@ -17,17 +17,20 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from tau_dyn.calibrate.geometry import Geometry
+from tau_dyn.calibrate.laws.displaced_geometry import MovedJoints
 from tau_dyn.mechanism import AXES, Rods, list_path
 from tau_dyn.parameters import Parameter, Parameters
 
 _COUPLING_STDERR = 0.1
 """Share of another joint's motion that may be coupled in, one standard deviation."""
-Loads = Callable[[np.ndarray], np.ndarray]
-"""`q` (N, na) -> force of the rods on each actuated slide (N, na, 3) [N], in base axes."""
+Loads = Callable[[np.ndarray, np.ndarray | None], np.ndarray]
+"""`q` (N, na) and loads at the tool (N, 7) -> force of the rods on each actuated slide (N, na, 3) [N], in base axes."""
 
 
 class Shift(NamedTuple):
@@ -96,6 +99,47 @@ def displace(laws: Sequence[Law], values: Sequence[np.ndarray], q: np.ndarray, n
             by_encoder[:, law.actuator] += shift.by_position[:, 0]
         columns.append((law, shift.by_parameter))
     return Displaced(real, by_encoder, ends, ends_by_encoder, tuple(columns))
+
+
+@dataclass(frozen=True, eq=False)
+class EncoderLaws:
+    """Laws of joints' own positions, as `JointDisplacement`.
+
+    Attributes:
+        laws: The laws.
+    """
+
+    laws: tuple[Law, ...]
+
+    beyond_file = Geometry.beyond_file
+
+    @property
+    def parameters(self) -> Parameters:
+        """The laws' parameters."""
+        return self._parameters
+
+    @cached_property
+    def _parameters(self) -> Parameters:
+        return Parameters([p for law in self.laws for p in law.parameters])
+
+    @property
+    def known_beforehand(self) -> np.ndarray:
+        """None of the parameters (p,)."""
+        return np.zeros(len(self.parameters), bool)
+
+    def move(self, values: np.ndarray, q: np.ndarray, loads: np.ndarray | None) -> MovedJoints:
+        """Return where joints are at encoders' positions (N, na)."""
+        moved = displace(self.laws, np.split(values, np.cumsum([len(law.parameters) for law in self.laws])[:-1]), q)
+        columns = np.zeros((*q.shape, len(self.parameters)))
+        first = 0
+        for law, own in moved.columns:
+            last = first + own.shape[2]
+            columns[:, law.actuator, first:last], first = own[:, 0], last
+        return MovedJoints(moved.real, columns, lambda: moved.by_encoder)
+
+    def list_springs(self, values: np.ndarray) -> dict[str, tuple[str, float]]:
+        """Return none."""
+        return {}
 
 
 def _by_joint(q: np.ndarray, joint: int, slope: np.ndarray) -> np.ndarray:
@@ -216,33 +260,6 @@ class CouplingLaw(_LinearLaw, _JointLaw):
 
 
 @dataclass(frozen=True, eq=False)
-class DriveComplianceLaw(_LinearLaw, _JointLaw):
-    """A drive that yields to its rods' pull: `e = drive_compliance F . n` along its guideway.
-
-    Attributes:
-        joint: Slide's name.
-        actuator: Its index.
-        direction: Unit vector of the guideway (3,).
-        loads: The rods' pull.
-    """
-
-    joint: str
-    actuator: int
-    direction: np.ndarray
-    loads: Loads
-
-    @property
-    def parameters(self) -> Parameters:
-        """One compliance."""
-        return Parameters([Parameter(f"{self.joint}.drive_compliance", 0.0, "m/N", origin="law")])
-
-    def columns(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
-        """Return the pull along the guideway, taken as constant near `q`."""
-        along = (self.loads(q)[:, self.actuator] @ self.direction)[:, None, None]
-        return along, np.zeros_like(along), self.actuator
-
-
-@dataclass(frozen=True, eq=False)
 class GuideBendLaw:
     """A crooked guideway: displacement linear between knots along it, zero at the first and the last one.
 
@@ -318,6 +335,7 @@ class CartComplianceLaw(_LinearLaw):
         rods: Rods it carries.
         direction: Unit vector of the guideway (3,).
         loads: The rods' pull.
+        at_tool: Loads at the tool (N, 7), None without any.
     """
 
     joint: str
@@ -325,6 +343,7 @@ class CartComplianceLaw(_LinearLaw):
     rods: tuple[int, ...]
     direction: np.ndarray
     loads: Loads
+    at_tool: np.ndarray | None = None
 
     @property
     def parameters(self) -> Parameters:
@@ -333,7 +352,7 @@ class CartComplianceLaw(_LinearLaw):
 
     def columns(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
         """Return the pull across the guideway, taken as constant near `q`."""
-        force = self.loads(q)[:, self.actuator]
+        force = self.loads(q, self.at_tool)[:, self.actuator]
         across = (force - (force @ self.direction)[:, None] * self.direction)[:, :, None]
         return across, np.zeros_like(across), self.actuator
 
