@@ -80,7 +80,7 @@ def read_bytes(path: str | Path, most: int | None = None) -> bytes:
 def _from_pipe(handle: int, path: str | Path, most: int | None) -> bytes:
     """Read until the writers are done."""
     if not select.select([handle], [], [], _PATIENCE)[0]:
-        raise InputError("cannot_read", f"{path} is a pipe into which nobody writes; give a file")
+        raise InputError("cannot_read", f"{path} is a pipe without a writer; give a file")
     os.set_blocking(handle, True)
     pieces, size = [], 0
     while piece := os.read(handle, 2**20):
@@ -122,7 +122,7 @@ class PlainLoader(yaml.SafeLoader):
     def fetch_flow_collection_start(self, TokenClass: Any) -> None:  # noqa: N803
         """Open a bracket; PyYAML's time grows with the square of how many are open."""
         if self.flow_level >= _MAX_LEVELS:
-            raise yaml.YAMLError(f"brackets stand more than {_MAX_LEVELS} deep inside each other")
+            raise yaml.YAMLError(f"brackets are nested more than {_MAX_LEVELS} deep inside each other")
         super().fetch_flow_collection_start(TokenClass)
 
     def whole_number(self, node: Any) -> int | float:
@@ -144,7 +144,7 @@ PlainLoader.add_constructor(_NUMBERS[0], PlainLoader.whole_number)
 def _written_out(node: Any, known: dict[int, int], above: set[int]) -> int:
     """Return how many nodes a node has with its aliases written out."""
     if id(node) in above:
-        raise yaml.YAMLError("an alias stands inside what it names")
+        raise yaml.YAMLError("an alias is inside the node that it names")
     if id(node) not in known:
         if isinstance(node, yaml.ScalarNode) and node.tag in _NUMBERS and len(node.value) > _MAX_NUMBER_CHARACTERS:
             raise yaml.YAMLError(

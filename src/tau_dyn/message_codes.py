@@ -83,17 +83,19 @@ INPUT_CODES: dict[str, MessageCode] = {
     "download_failed": MessageCode(
         "a published file could not be downloaded", "connect to the network, or set `TAU_DYN_DATA`"
     ),
-    "duplicate_name": MessageCode("a name stands twice where it must be unique", "rename one"),
+    "duplicate_name": MessageCode("a name occurs twice where it must be unique", "rename one"),
     "file_format": MessageCode(
         "a file is not of the kind expected, or an entry of it is not as the format has it",
         "[files](files.md) and [robot files](robots.md)",
     ),
     "file_not_found": MessageCode("a file or folder does not exist", "correct the path"),
-    "file_too_large": MessageCode("a file or table is larger than what is read", "give an excerpt, or Parquet"),
+    "file_too_large": MessageCode(
+        "a file or table is larger than the limit for reading", "give an excerpt, or Parquet"
+    ),
     "infeasible": MessageCode(
         "fixed and bounded values exclude every physical solution", "widen `--bound`, drop a `--fix`"
     ),
-    "invalid_value": MessageCode("a value lies outside of what is allowed", "the range is in the sentence"),
+    "invalid_value": MessageCode("a value is outside the allowed range", "the range is in the sentence"),
     "loop_not_closed": MessageCode(
         "a kinematic loop does not close at a position", "correct position, units or geometry"
     ),
@@ -115,7 +117,9 @@ INPUT_CODES: dict[str, MessageCode] = {
         "a position, path or motion is out of reach or beyond a limit", "change the target or limit"
     ),
     "unstable": MessageCode("a filter, loop or simulation is unstable", "lower its gains or cutoff"),
-    "unsupported": MessageCode("this robot, effect or model cannot do what was asked", "the sentence says which can"),
+    "unsupported": MessageCode(
+        "this robot, effect or model cannot do the requested task", "the sentence names those that can"
+    ),
     "wrong_checksum": MessageCode(
         "a file is not the published one: its sha256 differs", "fetch it again, or replace the copy in `TAU_DYN_DATA`"
     ),
@@ -133,9 +137,9 @@ UNANSWERED_CODES: dict[str, MessageCode] = {
     "not_accurate_enough": MessageCode(
         "the planned measurement would miss the accuracy asked for", "more or other poses"
     ),
-    "not_identifiable": MessageCode("the data do not determine what was asked", "the experiment in the sentence"),
+    "not_identifiable": MessageCode("the data do not determine the requested result", "the experiment in the sentence"),
     "not_visible": MessageCode("the camera or device does not see the target", "move the device or the target"),
-    "nothing_to_do": MessageCode("nothing is left open that a measurement would answer", "none needed"),
+    "nothing_to_do": MessageCode("no open question is left that a measurement would answer", "none needed"),
     "positions_missing": MessageCode("`columns`: no column is a position", "name one"),
     "poor_excitation": MessageCode("the motion or force hardly changes", "move every joint faster, both ways"),
     "too_little_data": MessageCode("too few samples, poses or images", "record longer, or more"),
@@ -154,10 +158,10 @@ WARNING_CODES: dict[str, MessageCode] = {
     "note": MessageCode("anything else", "read the sentence"),
     "positions_from_loop": MessageCode(
         "positions of drives follow over a loop from those of its other joints",
-        "nothing, if those encoders' signs and zeros are the robot file's",
+        "no action, if those encoders' signs and zeros are the robot file's",
     ),
     "prediction_missed": MessageCode(
-        "a trial of `learn` ended above its predicted interval", "the sentence says what changes"
+        "a trial of `learn` ended above its predicted interval", "the sentence names the change"
     ),
     "poses_reread": MessageCode(
         "a pose file follows another convention than documented: sign, zero, order, unit, orientation or rows",
@@ -176,7 +180,7 @@ WARNING_CODES: dict[str, MessageCode] = {
     ),
     "quarter_turn": MessageCode(
         "five squares look the same after a quarter turn: one turn is a convention",
-        "none if the target's frame is unknown",
+        "no action if the target's frame is unknown",
     ),
     "frame_undetermined": MessageCode(
         "training poses leave open where the device or the target is, so a move cannot be tested",
@@ -184,19 +188,20 @@ WARNING_CODES: dict[str, MessageCode] = {
     ),
     "new_place": MessageCode(
         "held-out distances or touches are at a place that the training poses do not show",
-        "none needed; an error common to all rows of that place does not show",
+        "no action needed; an error common to all rows of that place does not show",
     ),
     "size_undetermined": MessageCode(
-        "nothing but touches was measured, which do not show how large the robot is", "measure one distance as well"
+        "only touches were measured, which do not show the size of the robot", "measure one distance as well"
     ),
     "orientation_unused": MessageCode(
-        "training and held-out poses do not both have orientations", "measure both alike; positions alone are compared"
+        "training and held-out poses do not both have orientations",
+        "measure both in the same way; positions alone are compared",
     ),
     "contact": MessageCode("the tool rests on something", "keep such samples out of training; the fit leaves them out"),
     "changes_within_log": MessageCode(
         "a sign, gain, friction, tool or the base changes inside a log", "cut the log at the time stated"
     ),
-    "droop": MessageCode("a proportional servo stays behind its command at rest", "nothing; it is no backlash"),
+    "droop": MessageCode("a proportional servo stays behind its command at rest", "no action; it is no backlash"),
     "gain_unknown": MessageCode(
         "no servo law: masses are known up to its gain", "`--controller LAW.yaml` or a weighed mass"
     ),
@@ -213,7 +218,8 @@ WARNING_CODES: dict[str, MessageCode] = {
     "torque_constant_missing": MessageCode("`columns`: a current is no torque", "scale it"),
     "unit_unsure": MessageCode("`columns`: a unit was guessed", "check the scale"),
     "feedback_found": MessageCode(
-        "`modes`: an input follows what a causal model leaves of the outputs", "log the reference, `--reference`"
+        "`modes`: an input follows the part of the outputs that a causal model does not explain",
+        "log the reference, `--reference`",
     ),
     "force_late": MessageCode(
         "the force is late or early by more than 0.7 samples", "shift `tau` by the stated time; one clock for all"
@@ -233,7 +239,7 @@ WARNING_CODES: dict[str, MessageCode] = {
         "a first-order lag explains the force better than a delay", "log the force before the filter"
     ),
     "contact_unknown": MessageCode(
-        "a log of a walking robot does not say when a foot touches the ground", "log `contact_FRAME`, 0 or 1"
+        "a log of a walking robot does not show when a foot touches the ground", "log `contact_FRAME`, 0 or 1"
     ),
     "base_velocity_frame": MessageCode(
         "the base's velocity is in axes of the world", "turn it into axes of the base, or leave it out"
@@ -244,7 +250,7 @@ WARNING_CODES: dict[str, MessageCode] = {
         "log the motor torque; add the file's gravity back",
     ),
     "held_channel": MessageCode(
-        "a channel stands still while its joint moves, or is updated less often than logged",
+        "a channel is constant while its joint moves, or is updated less often than logged",
         "log all channels at one rate; frozen positions are left out",
     ),
     "holdout_differs": MessageCode(
@@ -270,7 +276,7 @@ WARNING_CODES: dict[str, MessageCode] = {
         "log the motor torque; add the file's nominal force back",
     ),
     "not_physical": MessageCode(
-        "plain least squares lies over 3 standard errors outside what is physical", "`diagnose`; a richer motion"
+        "plain least squares is over 3 standard errors outside the physical range", "`diagnose`; a richer motion"
     ),
     "no_coherence": MessageCode(
         "`modes`: the outputs do not follow the inputs near a mode", "more force there, or less noise"
@@ -289,7 +295,7 @@ WARNING_CODES: dict[str, MessageCode] = {
         "over a fifth of a joint's force is neither fitted nor noise",
         "`check` and `diagnose`; sign, unit and order of columns",
     ),
-    "repeated_samples": MessageCode("samples stand twice or stale", "log each sample once; they are left out"),
+    "repeated_samples": MessageCode("samples are repeated or stale", "log each sample once; they are left out"),
     "response_nonlinear": MessageCode(
         "`modes`: powers of the response explain over a tenth of the residual", "test at several levels of force"
     ),
@@ -298,7 +304,7 @@ WARNING_CODES: dict[str, MessageCode] = {
         "positions, forces or the clock have another scale", "the column map's line in the sentence"
     ),
     "setups_differ": MessageCode(
-        "a resonance lies at different frequencies in the set-ups of one test",
+        "a resonance has different frequencies in the set-ups of one test",
         "move the sensor without changing mass, temperature or posture; keep sensors of equal mass at all places",
     ),
     "short_log": MessageCode(
@@ -308,7 +314,7 @@ WARNING_CODES: dict[str, MessageCode] = {
         "q, tau or both have the wrong sign, or friction is negative", "`scale: -1` in the column map"
     ),
     "stiffness_unknown": MessageCode(
-        "nobody states the stiffness of a rod or drive, so that of the tool is unknown",
+        "the stiffness of a rod or drive is not stated, so that of the tool is unknown",
         "springs in the robot file, `--rod-stiffness`, `--actuator-stiffness`",
     ),
     "stamps_chosen": MessageCode("a bag's messages carry stamps, and these are the clock", "nothing"),

@@ -97,7 +97,7 @@ def test_serial_arm_errs_by_its_lever(tmp_path: Path) -> None:
         (["--actuator-error", "nan"], "zero or a positive number"),
         (["--actuator-error", "cart7=1e-6"], "no actuated joint named 'cart7'"),
         (["--actuator-error", "0"], "all errors are zero"),
-        (["--actuator-error", "5e-5", "--section", "x=99"], "reaches nothing of the section x = 99 m"),
+        (["--actuator-error", "5e-5", "--section", "x=99"], "reaches no point of the section x = 99 m"),
         (["--actuator-error", "5e-5", "--section", "x"], "write an axis and where to cut it"),
         (["--actuator-error", "5e-5", "--method", "guess"], "no method named 'guess'"),
         (["--actuator-error", "5e-5", "--grid", "1"], "from 2 to 201"),

@@ -189,7 +189,7 @@ def test_the_price_with_and_without_the_callback(tmp_path, monkeypatch, capsys) 
     whole, alone, told = (float(x) for x in re.findall("([0-9.]+(?:e-[0-9]+)?) %", made["price"]))
     assert whole == told < 0.01 < 0.1 < alone
     assert made["left_out"] == [] and made["callback"] == "m_effects.py" and (tmp_path / "m_effects.py").is_file()
-    assert made["by_callback"] == ["effect stribeck of axis stands in the callback"]
+    assert made["by_callback"] == ["effect stribeck of axis is in the callback"]
 
 
 TRIANGLES = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 0, 0], [0, 1, 0], [0, 0, 1]]], dtype="<f4")

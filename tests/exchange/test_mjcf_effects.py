@@ -143,7 +143,7 @@ def test_what_mujoco_has_elements_for(name, cause, compare):
 
 @pytest.mark.parametrize("cause", ["cyclic_ripple", "quadratic_drag"])
 def test_an_old_mujoco_gets_the_callback(cause, monkeypatch, compare):
-    """What MuJoCo 3.3 cannot read stands in the callback, which moves the robot as the element does."""
+    """What MuJoCo 3.3 cannot read is in the callback, which moves the robot as the element does."""
     monkeypatch.setattr("tau_dyn.exchange.mjcf_effects.get_mujoco_version", lambda: (3, 3))
     model = build_model("l1", (cause,))
     assert "dcmotor" not in build_mjcf(model).text
@@ -164,7 +164,7 @@ def test_a_shared_motor_of_two_branches_is_left_out():
 
 
 def test_a_late_force_is_a_late_sensor(in_mujoco):
-    """What the log shows 2.3 ms late, MuJoCo's sensor shows so: a sine of 6 Hz to 1e-4 of its size."""
+    """Contents of the log 2.3 ms late, MuJoCo's sensor shows so: a sine of 6 Hz to 1e-4 of its size."""
     mujoco = pytest.importorskip("mujoco")
     robot = load_robot("linear_axis")
     model = Model.of(robot, [EFFECTS["delay"](robot.actuated, robot.force_units)]).with_values({"axis.delay": 2.3e-3})

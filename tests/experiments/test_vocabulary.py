@@ -22,6 +22,8 @@ MEASURES = (
     "words in docs",
     "sentences over 30 words",
     "mentions of history in README and docs",
+    "private English in docstrings and docs",
+    "private English in messages",
 )
 
 

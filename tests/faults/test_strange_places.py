@@ -111,7 +111,7 @@ def test_loops_that_nothing_closes_are_refused(capsys) -> None:
 def test_an_address_of_somebody_else_is_refused(host: str, capsys) -> None:
     """A server waits without a word for an address that it cannot listen at."""
     pytest.importorskip("viser")
-    assert "nothing can listen at" in refused(capsys, ["view", "linear_axis", "--for", "0.1", "--host", host])
+    assert "no server can listen at" in refused(capsys, ["view", "linear_axis", "--for", "0.1", "--host", host])
 
 
 @pytest.mark.parametrize("option", ["--force-colour=nan", "--force-colour=inf", "--log-rate=1e-308"])

@@ -90,7 +90,7 @@ class Refining(Estimator):
     def _refined(self, first: Any, kind: str) -> Any:
         self.asked.append(kind)
         if self.found[kind] is None:
-            raise CannotAnswer("not_identifiable", "the instruments do not tell the parameters apart", "record more")
+            raise CannotAnswer("not_identifiable", "the instruments do not separate the parameters", "record more")
         return self.found[kind]
 
 

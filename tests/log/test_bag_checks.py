@@ -127,7 +127,7 @@ def test_definitions_hold_something_and_not_too_much(monkeypatch) -> None:
             check(("a", many(number, n)))
     nested = {"Outer": ([], [("inside", empty), ("more", many(empty, 3))])}
     for fields in ([("a", list_of(empty))], [("a", many(empty, 3))], [("a", list_of((kinds.NAME, "Outer")))]):
-        with pytest.raises(ValueError, match="a of Msg is a list of messages that hold nothing"):
+        with pytest.raises(ValueError, match="a of Msg is a list of empty messages"):
             check_definitions(
                 {
                     **known,

@@ -14,7 +14,7 @@ from tau_dyn.cli.execute import Outcome
 from tau_dyn.cli.progress import show_progress
 from tau_dyn.exceptions import InputError
 
-_ERRORS = Group("What is wrong")
+_ERRORS = Group("Errors")
 _PLACES = Group("Where")
 _METHODS = Group("How")
 
@@ -117,12 +117,12 @@ def read_measured_files(given: tuple[str, ...], robot):
             ]
             if not sliding:
                 raise InputError(
-                    "unsupported", f"{points.name}: its orientation can be told apart only along sliding actuators"
+                    "unsupported", f"{points.name}: its orientation can be separated only along sliding actuators"
                 )
             if points.points is None:
                 raise InputError(
                     "missing_column",
-                    f"{points.name} lacks x_tool, y_tool, z_tool, which tell the layers of poses apart",
+                    f"{points.name} lacks x_tool, y_tool, z_tool, which separate the layers of poses",
                 )
             orientation = check_orientation(
                 points.q[:, sliding], convert_from_quaternions(points.points, points.quaternions)
@@ -150,7 +150,7 @@ def _get_only_joint(points, robot) -> str:
         several = ", ".join(points.joints)
         raise InputError(
             "bad_option",
-            f"{points.name} has {several} but no orientation: say whose cart was measured, as {points.joints[0]}={points.name}",
+            f"{points.name} has {several} but no orientation: name the measured cart, as {points.joints[0]}={points.name}",
         )
     return points.joints[0]
 
@@ -168,7 +168,8 @@ def _collect_errors(path: Path | None, sizes: tuple[str, ...], robot, rods, meas
     if not errors.actuators and not errors.rods:
         if not (measured.guideways or measured.loads or measured.orientation):
             raise InputError(
-                "bad_option", "no error is given; say --actuator-error 50e-6, --errors FILE.yaml or --measured FILE.csv"
+                "bad_option",
+                "no error is given; give --actuator-error 50e-6, --errors FILE.yaml or --measured FILE.csv",
             )
         return None, False
     return errors, bool(seen)
@@ -206,7 +207,7 @@ def _read_poses(places: PlaceOptions, robot):
     from tau_dyn.mechanism import forward_kinematics
 
     if places.section or places.range:
-        raise InputError("bad_option", "--poses and --section are two ways to say where; give one")
+        raise InputError("bad_option", "--poses and --section both choose the poses; give one")
     points = read_measured(str(places.poses), robot.actuated)
     missing = [j for j in robot.actuated if j not in points.joints]
     if missing:

@@ -98,7 +98,7 @@ def require_csv_name(_: Any, path: Any) -> None:
         ValueError: The name has another ending.
     """
     if isinstance(path, Path) and path.suffix.lower() != ".csv":
-        raise ValueError("must end in .csv, which is what is written")
+        raise ValueError("must end in .csv, the written format")
 
 
 def build_destination(own: str, text: str = "", *, csv: bool = False) -> Parameter:

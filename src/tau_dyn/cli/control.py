@@ -197,7 +197,7 @@ def _require_small(size: float, allowed: float, what: str) -> None:
     if size > allowed:
         raise InputError(
             "invalid_value",
-            f"{what} is up to {size:.3g}, more than the {allowed:.3g} allowed; the robot does not do what its model says, the "
+            f"{what} is up to {size:.3g}, more than the {allowed:.3g} allowed; the robot does not follow its model, the "
             "trial is of another motion, or --largest-correction is too low",
         )
 
@@ -248,9 +248,7 @@ def observe(
     if (model is None) == (cutoff is None):
         raise InputError("bad_option", "observe takes either --model MODEL.yaml or --cutoff HZ")
     if bool(kinematic) == (robot is not None):
-        raise InputError(
-            "bad_option", "the tool as the actuators say it comes from ROBOT or from --kinematic, one of both"
-        )
+        raise InputError("bad_option", "the tool's position from the actuators comes from either ROBOT or --kinematic")
     with show_progress(output.quiet) as step:
         step("loading")
         from tau_dyn.control.observers import observe_tool

@@ -119,7 +119,7 @@ def export(
         "notch",
     ],
     out: Annotated[
-        Path | None, args.build_destination("FILE", "By default beside the model, or here for a robot")
+        Path | None, args.build_destination("FILE", "Default: next to the model, or here for a robot")
     ] = None,
     options: ExportOptions = ExportOptions(),
     filter_options: FilterOptions = FilterOptions(),
@@ -407,7 +407,7 @@ def export_feedforward(
     /,
     *,
     to: Literal["c", "python"],
-    out: Annotated[Path, args.build_destination("FILE", "FILE.c (with FILE.h beside it) or FILE.py")],
+    out: Annotated[Path, args.build_destination("FILE", "FILE.c (and FILE.h) or FILE.py")],
     name: Annotated[str, Parameter(metavar="NAME")] = "tau_ff",
     width: Annotated[args.Positives, Parameter(metavar="V")] = (0.01,),
     shape: Literal["ramp", "tanh"] = "ramp",
@@ -474,7 +474,7 @@ def export_feedforward(
         warnings=[
             f"the feedforward leaves out {effect.name}, "
             + (
-                "which distorts what is recorded: the force is the one at the reference's own time"
+                "which distorts the recorded force: the force is the one at the reference's own time"
                 if effect in recorded
                 else "which a single state does not determine"
             )

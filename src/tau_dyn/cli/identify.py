@@ -113,13 +113,13 @@ def _list_files(
     """Return the files to write and the samples: the model with its samples, or only the samples if `--out` names a table."""
     if not samples:
         if _is_table(out):
-            raise InputError("bad_option", f"--out {out} names a table of samples; say how many with --samples N")
+            raise InputError("bad_option", f"--out {out} names a table of samples; give their number with --samples N")
         return {out: found.model.save}, None
     from tau_dyn.identify import Identification
 
     if not isinstance(found, Identification):
         raise InputError(
-            "unsupported", "--samples needs logs with torque; of commands and positions there are none yet"
+            "unsupported", "--samples needs logs with torque; logs of commands and positions give no samples"
         )
     step("samples")
     drawn = found.sample(samples, seed=seed)

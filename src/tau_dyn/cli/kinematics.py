@@ -113,8 +113,8 @@ def _build_outcome(table, robot_files: list[Path], poses: Path | None, out: Path
     )
 
 
-_PLACES = Group("What is looked at")
-_DEMANDS = Group("What a pose must satisfy")
+_PLACES = Group("Poses and quantities")
+_DEMANDS = Group("Conditions of a pose")
 _SPRINGS = Group("What gives way")
 
 

@@ -97,7 +97,7 @@ DEFAULT_DURATION_S = 60.0
 """Default length of a named motion, and of a vibration test [s]."""
 DEFAULT_BUS_HZ = 50.0
 """Default rate at which a servo's commands are sent and its positions logged [Hz]."""
-_TRUTH = Group("What is true beside ROBOT", validator=validators.MutuallyExclusive())
+_TRUTH = Group("True values in addition to ROBOT", validator=validators.MutuallyExclusive())
 _SENSORS = Group("Controller and sensors")
 _VIBRATION = Group("Vibration (robot files with springs, such as gantry_tau --set arms=complete --set flexible=true)")
 

@@ -68,7 +68,7 @@ def modes(
     if not inputs and given is not None:
         raise InputError("bad_option", f"{given} needs what excites: name it with --inputs")
     if robot is None and (robot_options.set or robot_options.actuated):
-        raise InputError("bad_option", "--set and --actuated say how to load a robot; name it with --robot ROBOT")
+        raise InputError("bad_option", "--set and --actuated control how a robot is loaded; name it with --robot ROBOT")
     with show_progress(output.quiet) as step:
         step("loading")
         from tau_dyn.log import read_log

@@ -54,7 +54,7 @@ class Ends:
             return np.array(self.start_joints), np.array(self.end_joints), True
         raise InputError(
             "bad_option",
-            "say where the motion starts and ends: --from X Y Z --to X Y Z, or --from-joints and --to-joints",
+            "give the start and the end of the motion: --from X Y Z --to X Y Z, or --from-joints and --to-joints",
         )
 
     def read_path(self):
@@ -215,7 +215,7 @@ class CameraSetup:
         if self.picture or self.save_camera:
             raise InputError(
                 "bad_option",
-                f"{resume} exists, so nothing is planned; leave out --resume, or --picture and --save-camera",
+                f"{resume} exists, so no poses are planned; leave out --resume, or --picture and --save-camera",
             )
 
     def check_device(self, device: Any) -> None:
@@ -229,12 +229,12 @@ class CameraSetup:
         if isinstance(device, ToolCamera) and (self.picture or self.taken or self.save_camera):
             raise InputError(
                 "bad_option",
-                "--picture, --taken and --save-camera are for a camera that stands still; this one is on the tool",
+                "--picture, --taken and --save-camera are for a fixed camera; this one is on the tool",
             )
         if self.save_camera is not None and device.places is None:
             raise InputError(
                 "bad_option",
-                "--save-camera writes a chosen place; say with `choose` in the camera's file what may be chosen",
+                "--save-camera writes a chosen place; list the choices under `choose` in the camera's file",
             )
 
     def read_positions(self, robot):

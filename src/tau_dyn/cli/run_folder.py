@@ -66,7 +66,7 @@ class RunFolder:
         held = next((path for path in inputs if path.is_relative_to(self.path.resolve())), None)
         if held is not None:
             raise InputError(
-                "cannot_write", f"{held} is an input of this command and lies in {self.path}; name another folder"
+                "cannot_write", f"{held} is an input of this command and is in {self.path}; name another folder"
             )
         if reason := self._kept_for(command, configuration):
             raise InputError("cannot_write", f"{self.path} {reason}; name another folder")

@@ -69,7 +69,7 @@ def _list_statuses(program: Program) -> list[str]:
     lines = [
         f"Returns 0, or else leaves tau{' and start' * solved} alone and returns",
         f"  1  an input or a force is no number or beyond {MAX_NUMBER:g}, the position is out of reach,",
-        "     or it is beside the sort of state that the function was written for",
+        "     or it is outside the set of states for which the function was written",
         *(["  2  the loops could not be closed"] if solved else []),
         "  3  a force is beyond its joint's limit above",
         "Compile without -ffast-math, which takes the checks of numbers away. No allocation, no state"

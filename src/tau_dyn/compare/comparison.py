@@ -288,7 +288,7 @@ def _unmatched(
     elif lacking and any(c.stderr is not None for c in changes):
         holds = f"{lacking[0].place} holds" if len(lacking) == 1 else f"{a.place} and {b.place} hold"
         yield (
-            f"{holds} no combinations of parameters, in which a change may show though no single value tells it; "
+            f"{holds} no combinations of parameters, in which a change may show although no single value shows it; "
             "compare the --json results of identify"
         )
 

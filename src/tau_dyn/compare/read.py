@@ -297,9 +297,7 @@ def _of_result(path: Path, digest: str, data: bytes, run: RecordedRun | None) ->
         raise InputError("file_format", f"{path}: not a result of ours; its 'command' is missing")
     refused = content.get("status") == "cannot_answer" and "missing" in content
     if content.get("status") == "cannot_answer" and run is None:
-        raise InputError(
-            "mismatch", f"{path}: this result says that its data cannot answer; there is nothing to compare"
-        )
+        raise InputError("mismatch", f"{path}: its data could not answer; there are no values to compare")
     read = [x for x in pick_dicts(content.get("inputs")) if "sha256" in x]
     try:
         return ComparedSide(

@@ -292,7 +292,7 @@ class _Study:
         if not change.explains:
             return "more differs in this log than a body at the tool explains"
         if not confirmed:
-            return "the blocks of this log that were set aside do not show it"
+            return "the held-out blocks of this log do not show it"
         if not gain.ci95[0] > 0:
             return f"its gain is not above zero (95 % interval {gain.ci95[0]:.2g} to {gain.ci95[1]:.2g} %)"
         return ""

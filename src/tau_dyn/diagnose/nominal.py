@@ -168,7 +168,7 @@ def _build_gain_finding(ratio: np.ndarray, sigma: np.ndarray, p_value: float) ->
         None,
         ("link_mass",),
         "tau_log = gain tau",
-        f"All masses come out {100 * (mean - 1):+.1f} % off their nominal values, which is what a wrong motor constant does.",
+        f"All masses come out {100 * (mean - 1):+.1f} % off their nominal values, as with a wrong motor constant.",
         "weigh one moving part and fix it (--fix plate_link.mass=...): then the gain of the drives follows from the forces",
     )
 
@@ -200,7 +200,7 @@ def _build_finding(model: Model, found: Explanation, score: float) -> Finding:
             factor, stderr, name = 1 / (1 - share), stderr / (1 - share) ** 2, "force_scale"
         parameters = (Parameter(f"{owner}.{name}", factor, "1", stderr=stderr, origin="bodies over nominal bodies"),)
         whose = f"logged force of {owner} is" if found.place else "logged forces are"
-        sentence = f"The {whose} {format_quantity(factor, '1', stderr)} times what the nominal bodies need"
+        sentence = f"The {whose} {format_quantity(factor, '1', stderr)} times the force of the nominal bodies"
         where = (found.place,) if found.place else ()
         experiment = "record the motion without and with a weighed payload, its mass fixed by --fix"
     return Finding(
@@ -238,5 +238,5 @@ def _build_mass_finding(model: Model, p: Parameter, n: Parameter, z: float, p_va
         tuple(twins),
         f"{p.name} differs from its nominal value",
         f"{link} moves like {error}.",
-        f"weigh {link.removesuffix('_link')} without and with what it carries, and fix it (--fix {p.name}=...)",
+        f"weigh {link.removesuffix('_link')} without and with its load, and fix it (--fix {p.name}=...)",
     )

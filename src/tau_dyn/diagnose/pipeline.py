@@ -76,7 +76,7 @@ from tau_dyn.parameters import Parameters
 from tau_dyn.results import capitalise
 from tau_dyn.robot import Robot
 
-_MEND = "mend the log or its column map as the first warning says, or record it again"
+_MEND = "mend the log or its column map as the first warning advises, or record it again"
 
 
 def diagnose_forces(
@@ -332,7 +332,7 @@ def _measure_search_band(
 def _describe_spoiled(warnings: Sequence[str]) -> str:
     """Return the reason why no cause may be confirmed from faulty logs; empty for sound ones."""
     codes = dict.fromkeys(get_code(warning) for warning in warnings if is_diagnosis_invalid([warning]))
-    return f"the log is not what it claims to be ({', '.join(codes)}); mend it first" if codes else ""
+    return f"the log contradicts the robot file or itself ({', '.join(codes)}); mend it first" if codes else ""
 
 
 def _with_drift(untestable: Sequence[Untestable], unexplained: Sequence[Unexplained]) -> list[Untestable]:

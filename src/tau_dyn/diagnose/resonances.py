@@ -63,9 +63,11 @@ artefacts of noise."""
 _MAX_ITERATIONS = 15  # of the refinement of a proposed resonance
 _CAUSE = "structural_compliance"
 _SPREAD = 2.0  # standard errors of a frequency
-_BEYOND = " That is above the {band} up to which the encoders show the motion, so it is what the response below lets one guess."
+_BEYOND = (
+    " That is above the {band} up to which the encoders show the motion, so it is extrapolated from the response below."
+)
 _WANTED = (
-    "record an accelerometer at the tool, or motion with a multisine around {frequency} that stands above the encoders' noise, "
+    "record an accelerometer at the tool, or motion with a multisine around {frequency} above the encoders' noise, "
     "sampled at {rate} or more"
 )
 

@@ -185,6 +185,6 @@ def acts_on_recording(effect: Effect) -> bool:
 def describe_missing_state(effect: Effect, given: Collection[str]) -> str:
     """Return the reason why a state `(q, v, a)` and the given signals do not determine an effect's force; empty if they do."""
     if acts_on_recording(effect):
-        return "it distorts what is recorded and leaves the robot's force as it is"
+        return "it distorts the recorded force and leaves the robot's force as it is"
     missing = [name for name in effect.needs if name not in given]
     return f"it feels {missing[0]}, which a single state does not give" if missing else ""

@@ -46,10 +46,10 @@ GEOMETRY_CAUSES = {
     "drive_compliance": "q_real = q + drive_compliance Q(q_real), Q the force of weights and known loads on the drive",
     "joint_eccentricity": "q_real = q + eccentricity_sin sin(q) + eccentricity_cos cos(q)",
     "joint_delay": "q_real = q + delay v: the joints were read so long before the tool was measured",
-    "tool_frame": "the target sits elsewhere on the tool in another campaign",
+    "tool_frame": "the target is at another place on the tool in another campaign",
     "device_moved": "the device stood elsewhere when the held-out poses were measured",
     "target_moved": "the target sat elsewhere on the tool when the held-out poses were measured",
-    "base_frame": "the robot's base stands elsewhere in the device's frame in another campaign",
+    "base_frame": "the robot's base is at another place in the device's frame in another campaign",
 }
 """Causes that `calibrate` names, with their equations."""
 GEOMETRY_SENTENCES = {
@@ -133,7 +133,7 @@ LOOP_CAUSES = {
         ("load_friction",),
     ),
     "joint_compliance": LoopCause(
-        ("joint_compliance", "joint_damping"), "motor - link = joint_compliance tau_link, joint_damping beside it",
+        ("joint_compliance", "joint_damping"), "motor - link = joint_compliance tau_link, with joint_damping",
         "a chirp through the resonance", ("delay", "backlash"),
     ),
     "backlash": LoopCause(

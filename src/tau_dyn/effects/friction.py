@@ -59,7 +59,9 @@ class TorqueOffset(JointwiseEffect):
     cause = True
     equation = "tau += offset"
     reference = "Dressler 2012, (6.8)-(6.9); Khalil & Dombre 2002, 9.6"
-    reveals = "constant-speed strokes in both directions; only a joint without gear and seals tells it from asymmetry"
+    reveals = (
+        "constant-speed strokes in both directions; only a joint without gear and seals separates it from asymmetry"
+    )
     mistaken_for = ("coulomb_asymmetry", "gravity_direction", "payload")
     equivalent = ("coulomb_asymmetry",)
     # Amplifier offsets are a few per cent; springs and counterweights hold up to half of the largest force
@@ -79,7 +81,9 @@ class CoulombAsymmetry(JointwiseEffect):
     cause = True
     equation = "tau += coulomb_asymmetry, half of (Fc_pos - Fc_neg)"
     reference = "Dressler 2012, (6.8)-(6.9), Table 6.1"
-    reveals = "constant-speed strokes in both directions; only a joint without gear and seals tells it from an offset"
+    reveals = (
+        "constant-speed strokes in both directions; only a joint without gear and seals separates it from an offset"
+    )
     mistaken_for = ("torque_offset", "gravity_direction")
     equivalent = ("torque_offset",)
     # Beyond it one direction would be driven by its own friction

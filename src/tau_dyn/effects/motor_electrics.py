@@ -30,7 +30,7 @@ from tau_dyn.parameters import Parameter
 
 VOLTAGE, PULSE_WIDTH = "voltage", "pwm"
 """Signals (N, na) of a log whose forces are proportional to them: voltages [V], shares of the supply."""
-_WITH_CURRENT = "log the current beside the voltage; identify then gives resistance, back-EMF and inductance"
+_WITH_CURRENT = "log the current and the voltage; identify then gives resistance, back-EMF and inductance"
 _COLD = 20.0  # degC; a reference only scales the masses
 _LAGS_S = (2.5, 5.0, 10.0, 20.0, 40.0, 80.0, 160.0)
 """Time constants of windings tried [s]: a few seconds in a motor of 10 mm, a few minutes in an industrial one."""

@@ -35,7 +35,9 @@ class TorqueSpeedLimit(JointwiseEffect):
     cause = True
     equation = "tau_log = tau + lost sign(v) max(0, sign(v) tau_log - stall (1 - |v| / no_load))"
     reference = "Hughes & Drury 2013, ch. 3"
-    reveals = "accelerations at speed beyond what the motor gives, its stall force and no-load speed in the robot file as limits"
+    reveals = (
+        "accelerations at speed beyond the motor's range, its stall force and no-load speed in the robot file as limits"
+    )
     mistaken_for = ("drive_gain", "quadratic_drag", "viscous_curvature", "drive_lag")
     # All torque beyond the line is lost
     plausible = (PlausibleRange("lost", 1 - _OFF, 1 + _OFF),)

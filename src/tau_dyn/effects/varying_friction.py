@@ -211,7 +211,7 @@ class PassiveJointFriction(Effect):
     cause = True
     equation = "tau += sum over passive bearings P' (viscous w + coulomb w / |w|), w = P v"
     reference = "Khalil & Dombre 2002, ch. 10"
-    reveals = "motions in which the rods turn much beside ones in which all carts move alike, in both directions"
+    reveals = "motions in which the rods turn much, and motions in which all carts move together, in both directions"
     mistaken_for = ("viscous_asymmetry", "coulomb_asymmetry", "load_friction")
     # From instrument bearings to preloaded cardan joints
     plausible = (PlausibleRange("coulomb", 0.0, 10.0, "N m"), PlausibleRange("viscous", 0.0, 30.0, "N m/(rad/s)"))

@@ -213,7 +213,7 @@ def combine_parameters(estimate: Estimate, weights: Mapping[str, float]) -> Para
         raise CannotAnswer(
             "not_identifiable",
             f"the data do not identify {text}; what they see holds other shares of {', '.join(names)}",
-            "ask for a base parameter's expression, or record a motion that tells these apart",
+            "ask for a base parameter's expression, or record a motion that separates these",
         )
     fixed = sum(x * parameters[name].value for name, x in weights.items() if name not in base.names)
     return ParameterSum(float(kept @ estimate.beta_plain) + fixed, estimate.stderr_of(kept))

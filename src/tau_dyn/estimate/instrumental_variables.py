@@ -145,7 +145,7 @@ def estimate_instrumental_covariance(
 def _blind() -> CannotAnswer:
     return CannotAnswer(
         "not_identifiable",
-        "the instruments do not tell the parameters apart",
+        "the instruments do not separate the parameters",
         "use --estimator wls, or log the references (q_ref_J) that the controller really got",
     )
 

@@ -239,7 +239,7 @@ def _minimise(misfit: Any, pull: Any, constraints: list[Any], bodies: list[Inert
         listed = ", ".join(body.name for body in bodies) or "the bounds"
         raise InputError(
             "infeasible",
-            f"no admissible parameters exist ({problem.status}): what is fixed or bounded contradicts itself or the physics of "
+            f"no admissible parameters exist ({problem.status}): fixed or bounded values contradict each other or the physics of "
             f"{listed}",
         )
 

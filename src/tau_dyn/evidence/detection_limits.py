@@ -50,7 +50,9 @@ def compute_detection_limits(
         elif cls.name not in tried:
             untestable.append(
                 Untestable(
-                    cls.name, "this motion offers no setting at which it could be told from the baseline", cls.reveals
+                    cls.name,
+                    "this motion offers no setting at which it could be separated from the baseline",
+                    cls.reveals,
                 )
             )
         else:

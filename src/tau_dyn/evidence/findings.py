@@ -27,7 +27,7 @@ _DEPENDENT = 1e-8
 _BLIND = 0.01
 """Largest share of an amplitude in directions that dependent columns do not determine."""
 _WITHIN = (
-    " The held-out logs hardly excite it; blocks set aside of the training logs confirmed it and measured its gain."
+    " The held-out logs hardly excite it; held-out blocks of the training logs confirmed it and measured its gain."
 )
 _TWIN_EXPERIMENT = "record {reveals}; that separates it from {twins}"
 _EQUIVALENT = "no log of this kind separates it from {twins}; the force is the same"
@@ -300,7 +300,7 @@ def _describe_tool(
         causes = " and ".join(f"{f.cause} ({', '.join(f.joints)})" for f in named)
         return f"{text}; with {causes} it is {other}."
     if aliased:
-        return f"{text}. {aliased[0].sentence} These positions cannot tell which."
+        return f"{text}. {aliased[0].sentence} These positions do not show which."
     return f"{text}, and no cause that we know explains any of it."
 
 
@@ -327,5 +327,5 @@ def _describe_deflection(
     left = next((u for u in unexplained if u.status == "confirmed"), None)
     if left is not None:
         share = f"{100 * left.share_of_residual_variance:.0f} % of its residual"
-        text += f". What is left at {left.joint} depends on {', '.join(left.depends_on)} and has no name ({share})"
+        text += f". The residual at {left.joint} depends on {', '.join(left.depends_on)} and has no name ({share})"
     return f"{text}."

@@ -109,7 +109,7 @@ def find_edge(effects: Sequence[Effect], scene: Scene) -> str:
             )
             low, high = values[0] * (1 + EDGE_TOLERANCE), values[-1] * (1 - EDGE_TOLERANCE)
             if (end != "high" and x <= low) or (end != "low" and x >= high):
-                return f"{key} = {format_quantity(x, unit)} is at the edge of what was searched"
+                return f"{key} = {format_quantity(x, unit)} is at the edge of the searched range"
     return ""
 
 

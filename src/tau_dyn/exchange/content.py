@@ -250,7 +250,7 @@ def describe_price(model: Model, versions: Sequence[Model], folder: Path) -> str
     return "what that costs is unknown: the model's logs are not here"
 
 
-_WHAT = ("what the file carries", "the callback beside it")
+_WHAT = ("contents of the file", "the callback beside it")
 
 
 def _describe_force(model: Model, carried: Model, logs: Sequence[Log]) -> str:

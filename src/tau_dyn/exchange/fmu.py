@@ -72,7 +72,7 @@ def build_fmu(model: Model) -> ExportedFmu:
         for e, why in list_unsupported_effects(model)
     ]
     left_out += [
-        f"effect {e.name} is left out: it distorts what is recorded, not the motion"
+        f"effect {e.name} is left out: it distorts the recording, not the motion"
         for e in model.effects
         if acts_on_recording(e)
     ]

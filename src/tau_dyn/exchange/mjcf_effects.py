@@ -232,7 +232,7 @@ def place_effects(model: Model) -> EffectPlaces:
     if not text:
         lost, held = {**lost, **dict.fromkeys(held, why)}, []
     parts = [(e, " beyond its mean" if isinstance(e, AsymmetricFriction) else "") for e in held]
-    said = [f"effect {e.name} of {', '.join(e.joints)}{part} stands in the callback" for e, part in parts]
+    said = [f"effect {e.name} of {', '.join(e.joints)}{part} is in the callback" for e, part in parts]
     sentences = [f"effect {e.name} of {', '.join(e.joints)} is left out: {why}" for e, why in lost.items()]
     sentences += () if text else list_means(model, drives=True)
     gone = {n: carried.effect_parameters[n].value for e in lost for n in e.parameters.names}
@@ -247,7 +247,7 @@ def _sort_effects(model: Model, change: dict[str, float]) -> tuple[list[Effect],
         if isinstance(effect, Armature | DriveGain) or not any(change[n] for n in effect.parameters.names):
             continue
         if acts_on_recording(effect):
-            lost[effect] = "it distorts what is recorded, not the motion"
+            lost[effect] = "it distorts the recording, not the motion"
         elif effect in missing:
             lost[effect] = f"it feels {missing[effect]}, which a state alone does not give"
         elif why := _try_callback(model, [effect], change)[1]:

@@ -91,7 +91,7 @@ def _list_losses(model: Model, carried: Model) -> list[str]:
     robot, said = model.robot, ["visual and collision shapes are left out"]
     driven = [j for j in robot.actuated if read_joint_law(carried, j).armature]
     if driven:
-        said.append(f"drive inertia of {', '.join(driven)} is left out for Gazebo: it stands in drake:rotor_inertia")
+        said.append(f"drive inertia of {', '.join(driven)} is left out for Gazebo: it is in drake:rotor_inertia")
     if any(n.endswith(".gravity_mass") and robot.parameters[n].value for n in robot.parameters.names):
         said.append("mass that only gravity feels is left out")
     if robot.loops:

@@ -259,7 +259,7 @@ class Noise:
             found.append(np.broadcast_to(x, (na,)).copy())
         if not np.all(found[0] > 0):
             raise InputError(
-                "invalid_value", "force noise must be above zero; without noise every motion tells everything"
+                "invalid_value", "force noise must be above zero; without noise every motion determines all parameters"
             )
         return cls(found[0], found[1], rate_hz, source)
 

@@ -158,7 +158,7 @@ def _moved(estimate: Estimate) -> list[str]:
         terms = [estimate.parameters[term] for term in name.split(" + ")]
         value, unit = sum(p.value for p in terms), terms[0].unit
         sentence = (
-            f"{name}: the unconstrained estimate {plain:.4g} {unit} lies more than {_OBJECTS:g} standard errors outside its "
+            f"{name}: the unconstrained estimate {plain:.4g} {unit} is more than {_OBJECTS:g} standard errors outside its "
             f"bounds; the nearest consistent estimate is {value:.4g} {unit} and changes other values "
             "(the model lacks a force, or the excitation is poor)"
         )

@@ -73,7 +73,7 @@ class Estimator:
     def __post_init__(self) -> None:
         """Refuse an unknown name, and logs or models that the requested estimator cannot handle."""
         if self.kind not in ESTIMATORS:
-            raise InputError("bad_option", f"estimator '{self.kind}' is none of {', '.join(ESTIMATORS)}")
+            raise InputError("bad_option", f"estimator '{self.kind}' is not one of {', '.join(ESTIMATORS)}")
         if self.kind in ("ml", "iv", "robust"):
             fault = self._fault(self.kind)
             if fault:

@@ -114,7 +114,7 @@ def _refuse_outside(parameters: Parameters) -> None:
     for p in parameters:
         if p.origin == "given" and not p.lower <= p.value <= p.upper:
             raise InputError(
-                "invalid_value", f"{p.name}={p.value:g} {p.unit} lies outside its bounds, {p.lower:g} to {p.upper:g}"
+                "invalid_value", f"{p.name}={p.value:g} {p.unit} is outside its bounds, {p.lower:g} to {p.upper:g}"
             )
 
 

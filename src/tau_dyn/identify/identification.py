@@ -226,7 +226,7 @@ def _gather_data(
     if not fitted.parameters.free.any():
         raise InputError(
             "bad_option",
-            "every parameter is fixed; nothing is left to estimate. To judge a model on a new log, free its parameters, name "
+            "every parameter is fixed, so no value is estimated. To judge a model on a new log, free its parameters, name "
             "the logs that it was fitted to, and the new one with --holdout",
         )
     gains = choices.gains(fitted.robot.driven)
@@ -322,7 +322,9 @@ def _judge_last_part(built: BuiltData, solver: Estimator) -> _Judged:
     try:
         estimate = solver.solve(built, first)
     except CannotAnswer:
-        said = "the first 70 % of the logs alone determine nothing, so there are no held-out errors; give --holdout"
+        said = (
+            "the first 70 % of the logs alone determine no parameters, so there are no held-out errors; give --holdout"
+        )
         return _Judged(None, None, "the logs are too short to hold a part out", (said,))
     how = "last 30 % of each log, predicted by a fit of its first 70 %"
     errors = build_force_errors(last, estimate.theta)

@@ -91,9 +91,7 @@ def choose_per_log(parameters: Parameters, patterns: Iterable[str]) -> tuple[str
             raise InputError("bad_option", f"--per-log {pattern}: {names[0]} is fixed; free it with --free {names[0]}")
         known = [n for n in free if parameters[n].prior_stderr is not None]
         if known:
-            raise InputError(
-                "bad_option", f"--per-log {pattern}: {known[0]} was measured beforehand, for all logs alike"
-            )
+            raise InputError("bad_option", f"--per-log {pattern}: {known[0]} was measured beforehand, for all logs")
         found += free
     return tuple(dict.fromkeys(found))
 
@@ -187,7 +185,7 @@ def compare_logs(estimate: Estimate, names: Sequence[str], nominal: Parameters) 
 def list_comparison_warnings(compared: Sequence[PerLogParameter]) -> list[str]:
     """Return a sentence for each parameter of which no two logs can be compared."""
     return [
-        f"no two logs tell {one.name} so that they can be compared; move what it acts on in each of them"
+        f"no two logs tell {one.name} so that they can be compared; move the joints on which it acts in each of them"
         for one in compared
         if one.p_value is None
     ]

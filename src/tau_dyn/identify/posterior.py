@@ -277,12 +277,12 @@ def _list_warnings(widening: Widening, held: tuple[str, ...], converged: bool, m
     if widening.physics > 1:
         said.append(
             f"the plain estimate is {widening.physics**0.5:.2g} times as far from any possible robot as its errors allow; the "
-            "samples are widened by that factor, and diagnose may say why"
+            "samples are widened by that factor, and diagnose may name the reason"
         )
     if widening.prior > 2:
         said.append(
             f"the logs contradict the robot file's inertias, whose errors count {widening.prior**0.5:.2g} times; the samples "
-            "spread as widely where the logs tell nothing"
+            "spread as widely where the logs do not determine them"
         )
     if not converged:
         said.append(

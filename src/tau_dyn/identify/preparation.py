@@ -81,7 +81,7 @@ def refuse_slow_clocks(logs: Sequence[Log]) -> None:
     if slow.rate_hz < MIN_RATE_HZ:
         raise InputError(
             "wrong_unit",
-            f"{slow.name} is sampled at {slow.rate_hz:.3g} Hz; t must be in s (does it stand in ms or us?)",
+            f"{slow.name} is sampled at {slow.rate_hz:.3g} Hz; t must be in s (is it in ms or us?)",
         )
 
 
@@ -100,7 +100,7 @@ def choose_preparation(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ..
     if short.n_samples < MIN_SEGMENT_SAMPLES:
         raise InputError(
             "too_little_data",
-            f"{short.name} has {short.n_samples} samples in a row; {MIN_SEGMENT_SAMPLES} are needed to say anything",
+            f"{short.name} has {short.n_samples} samples in a row; {MIN_SEGMENT_SAMPLES} are needed for an answer",
         )
     refuse_slow_clocks(logs)
     rate = min(log.rate_hz for log in logs)

@@ -280,7 +280,7 @@ def _say(robot: Robot, name: str, found: ForceDelay, late: np.ndarray, gain: flo
     if mean > 0 and gain > LAG_GAIN_NATS:
         words = (
             f"{name}: the force of {of} is low-passed: a first-order lag of about {size} explains it better than a delay; "
-            f"{removed}. Log the drive's force before its filter, or low-pass the positions alike"
+            f"{removed}. Log the drive's force before its filter, or low-pass the positions with the same filter"
         )
         return CodedWarning("force_lowpassed", words + ".")
     alike = " (a first-order lag of as much would look the same)" if mean > 0 and gain > -LAG_GAIN_NATS else ""

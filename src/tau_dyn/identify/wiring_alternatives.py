@@ -163,7 +163,7 @@ def move_to_motor_side(robot: Robot, now: Rewiring, ratios: Sequence[tuple[int, 
     words = (
         f"positions and forces of {names} are at the motor's side of the gear, with ratios of {{number}}"
         if with_force
-        else f"the positions of {names} are {{number}} times what the robot file says (gear ratio or unit)"
+        else f"the positions of {names} are {{number}} times those of the robot file (gear ratio or unit)"
     )
     return replace(now, code="scale_wrong", joints=joints, words=words)
 
@@ -225,7 +225,9 @@ def _scale_changes(robot: Robot, now: Rewiring, q: np.ndarray) -> Iterator[Rewir
     for group in groups:
         who = robot.actuated[group[0]] if len(group) == 1 else "all joints"
         for signal, what in (("tau", "force"), ("q", "position")):
-            words = f"the {what} of {who} is {{number}} times what the robot file says (gear ratio, torque constant or unit)"
+            words = (
+                f"the {what} of {who} is {{number}} times that of the robot file (gear ratio, torque constant or unit)"
+            )
             scaled = replace(now, code="scale_wrong", joints=group, words=words)
             for factor in SCALES:
                 if signal == "tau" or _may_be_scaled(robot, now, q, group, factor):

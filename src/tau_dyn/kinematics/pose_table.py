@@ -326,7 +326,7 @@ def _place(poses: Poses) -> str:
 
 
 def _millimetres(poses: Poses) -> str:
-    return "; positions are in m (do they stand in mm?)" if np.abs(poses.position[0]).max() > _MAX_REACH_M else ""
+    return "; positions are in m (are they in mm?)" if np.abs(poses.position[0]).max() > _MAX_REACH_M else ""
 
 
 def _listed(robot: Robot, q: np.ndarray) -> str:

@@ -197,7 +197,7 @@ def _gaps(log: Log, clock: Clock) -> CheckFinding:
     )
     left = examine_clock(log)
     cut = describe_gaps(log, left) if left.gaps else ""
-    filled = f"{log.name} has {count(len(clock.gaps), 'gap')} in time, which the samples around tell."
+    filled = f"{log.name} has {count(len(clock.gaps), 'gap')} in time, which the samples around it determine."
     return choose_finding(
         "gaps",
         f"{log.name}: no sample is missing.",
@@ -215,7 +215,7 @@ _READING = {
     UNCODED: "Let the logger finish its file.",
     "log_layout": "Check that it was meant so.",
     "clock_converted": "Check the rate above.",
-    "stamps_chosen": "None needed: they tell the time of the measurement better.",
+    "stamps_chosen": "No remedy needed: they give the time of the measurement better.",
     "clocks_joined": "Log all signals by one clock.",
     "column_without_numbers": "Log it, or map another column.",
     "samples_left_out": "Let the logger fill every cell.",

@@ -156,7 +156,7 @@ def _our_name(name: str, key: Any, value: Any = None) -> str:
         known = "t, files, couplings, episode, temp_room, x_tool.. and " + ", ".join(
             f"{signal}_JOINT" for signal in SIGNALS
         )
-        raise _build_error(name, f"key {key} is none of our column names, which are {known}.")
+        raise _build_error(name, f"key {key} is not one of our column names, which are {known}.")
     return key
 
 

@@ -208,7 +208,7 @@ def describe_missing_clock(file: str, columns: Sequence[str]) -> str:
     clock = next((c for c in columns if c.strip("[]() ").lower() in _CLOCKS or c.lower().startswith("time")), "")
     scale = find_named_scale(clock, "t")
     entry = clock or "NAME" if scale in (None, 1.0) else f"{{column: {clock}, scale: {scale:g}}}"
-    line = f"`t: {entry}`, or `t: {{rate_hz: F}}` if there is none,"
+    line = f"`t: {entry}`, or `t: {{rate_hz: F}}` without a clock,"
     more = f"; name the clock t [s], or write {line} into a column map (--columns MAP.yaml)"
     return describe_missing_column(file, "t", columns, more=more)
 

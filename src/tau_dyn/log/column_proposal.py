@@ -363,7 +363,7 @@ def _guess_numbered(
     sentence = f"There is no header: columns {chosen[0][0]} to {chosen[0][-1]} are taken for positions, as {why}."
     warnings = [CodedWarning("column_unsure", sentence)]
     if rest := [c for c in columns if not any(c in block for block in chosen)]:
-        sentence = f"Columns {format_names(rest)} are not mapped: nothing says what they are."
+        sentence = f"Columns {format_names(rest)} are not mapped: their meaning is unknown."
         warnings.append(CodedWarning("column_unsure", sentence))
     groups = [ColumnGroup(kind, (), block, False) for kind, block in zip(("q", "v"), chosen, strict=False)]
     return groups, _Draft({}, warnings)
@@ -520,7 +520,7 @@ def _propose_velocities(
             continue
         slope = None if t is None else _match_slope(((position,), (column,)), values, t)
         if slope is None:
-            why = "without a clock nobody can tell whether it is" if t is None else "it is not"
+            why = "without a clock it is unknown whether it is" if t is None else "it is not"
             sentence = f"{column} is not mapped: {why} the derivative of {position}."
             warnings.append(CodedWarning("column_unsure", sentence))
             continue
@@ -568,7 +568,7 @@ def _propose_forces(groups: Sequence[ColumnGroup], recorded: _Recorded, robot: J
         )
         doubts.append(CodedWarning("torque_constant_missing", sentence))
     if asked is not None:
-        sentence = f"{asked.columns[0]} is what the controller asks for, not a measurement, and is not mapped."
+        sentence = f"{asked.columns[0]} is the controller's reference, not a measurement, and is not mapped."
         doubts.append(CodedWarning("column_unsure", sentence))
     if current is None and asked is None:
         sentence = "No column is a torque; without one `identify` needs the controller."

@@ -294,7 +294,7 @@ def _mend_repeated(log: Log, joints: Sequence[str]) -> Repair:
     share = 100 * len(rows) / log.n_samples
     sentence = (
         f"{log.name}: {count(len(rows), 'sample')} repeat the one before ({share:.2g} % of all), first after "
-        f"t = {log.t[rows[0]]:.6g} s: nothing changes there although the joints move. They are left out"
+        f"t = {log.t[rows[0]]:.6g} s: no value changes there although the joints move. They are left out"
         f"{' and later times moved up' if inserted else ''}; log time stamps of the measurement, each sample once."
     )
     return Repair(_take(log, keep, t), [RepairedWarning("repeated_samples", sentence)])
@@ -565,8 +565,8 @@ def _fill_gaps(log: Log, joints: Sequence[str]) -> Repair:
     if not n:
         return Repair(log, [])
     sentence = (
-        f"{log.name}: {count(n, 'gap')} of up to {longest_s:.2g} s {'is' if n == 1 else 'are'} interpolated: the samples around "
-        "tell the positions there to within their noise. Record without interruption."
+        f"{log.name}: {count(n, 'gap')} of up to {longest_s:.2g} s {'is' if n == 1 else 'are'} interpolated: samples around them "
+        "give the positions there to within their noise. Record without interruption."
     )
     return Repair(filled, [RepairedWarning("lost_samples", sentence)])
 

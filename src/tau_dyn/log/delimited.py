@@ -236,7 +236,7 @@ def _check_header(name: str, line: int, header: list[str]) -> None:
         if column in seen:
             raise InputError(
                 "duplicate_name",
-                f"{name}, line {line}: column {column} stands twice; every column needs a name of its own.",
+                f"{name}, line {line}: column {column} occurs twice; every column needs a name of its own.",
             )
         seen.add(column)
     if all(_is_number(column) for column in header):

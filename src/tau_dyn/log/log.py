@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _ROWS_AT_ONCE = 10_000  # of a CSV; a megabyte or two of text
-_NAME_IT = "; log it, or let a column map say which column it is"
+_NAME_IT = "; log it, or name its column in a column map"
 
 
 @dataclass(frozen=True, eq=False)

@@ -220,7 +220,7 @@ def refuse_few(name: str, n_samples: int) -> None:
     if n_samples < MIN_SAMPLES:
         raise InputError(
             "too_little_data",
-            f"{name} has {count(n_samples, 'sample')}; a log needs at least {MIN_SAMPLES} to say anything.",
+            f"{name} has {count(n_samples, 'sample')}; a log needs at least {MIN_SAMPLES} for an answer.",
         )
 
 
@@ -377,13 +377,13 @@ def _tables(path: Path, map_: ColumnMap) -> dict[str | None, Table]:
     if path.is_dir() and None in wanted:
         raise InputError(
             "file_format",
-            f"{path} is a folder, and {map_.name} does not say which file every column is from; give the log's file.",
+            f"{path} is a folder, and {map_.name} does not name the file of every column; give the log's file.",
         )
     paths = {key: path if key is None else folder / map_.files[key] for key in wanted}
     if not path.is_dir() and not any(_same_file(path, other) for other in paths.values()):
         raise InputError(
             "mismatch",
-            f"{path.name} is none of the files that {map_.name} reads ({format_names(map_.files.values())}); give one.",
+            f"{path.name} is not one of the files that {map_.name} reads ({format_names(map_.files.values())}); give one.",
         )
     asked = {key: {o: s.column for o, s in map_.sources.items() if s.file == key} for key in wanted}
     return {key: read_any(file, asked[key]) for key, file in paths.items()}
@@ -585,7 +585,7 @@ def _check_clock(table: Table, t: NDArray[np.float64]) -> None:
         return
     row = int(backwards[0]) + 1
     if t[row] == t[row - 1]:
-        what = f"t = {_seconds(t[row])} s stands twice; every sample needs a later time. Rounded? Write more digits."
+        what = f"t = {_seconds(t[row])} s occurs twice; every sample needs a later time. Rounded? Write more digits."
     else:
         what = (
             f"t = {_seconds(t[row])} s comes after {_seconds(t[row - 1])} s; logs must run forward in time. "

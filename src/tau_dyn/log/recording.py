@@ -225,7 +225,7 @@ def _refuse_backwards(part: RowGroup, t: np.ndarray, row: int, before: float, wh
             "recording must follow each other in time. Several recordings? Give the files one by one.",
         )
     last = before if row == 0 else t[row - 1]
-    what = f"t = {t[row]:.9g} s stands twice" if t[row] == last else f"t = {t[row]:.9g} s comes after {last:.9g} s"
+    what = f"t = {t[row]:.9g} s occurs twice" if t[row] == last else f"t = {t[row]:.9g} s comes after {last:.9g} s"
     raise InputError("time_stamps", f"{name}, row {part.in_file + row + 1}: {what}; every sample needs a later time.")
 
 
@@ -305,7 +305,7 @@ def _opened(name: str, paths: tuple[Path, ...], map_: ColumnMap | None) -> Recor
             has, lacks = (path.name, paths[0].name) if odd in theirs else (paths[0].name, path.name)
             raise InputError(
                 "missing_column",
-                f"{has} has a column {odd} and {lacks} has none; the files of one recording need the same columns.",
+                f"{has} has a column {odd} and {lacks} has no such column; the files of one recording need the same columns.",
             )
         in_file = 0
         for group in range(file.metadata.num_row_groups):

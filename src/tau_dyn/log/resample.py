@@ -277,8 +277,8 @@ def resample_to_clock(where: str, t: np.ndarray, x: np.ndarray, wanted: np.ndarr
     if share > MAX_INTERPOLATION_ERROR:
         raise InputError(
             "time_stamps",
-            f"{where} cannot be put on another clock: its samples ({1 / step:.4g} Hz) cannot be told from their "
-            "neighbours, so neither can what lies between them; record both in one message, or faster.",
+            f"{where} cannot be put on another clock: its samples ({1 / step:.4g} Hz) cannot be found from their "
+            "neighbours, so the motion between them is unknown; record both in one message, or faster.",
         )
     error = 100 * share / 16
     return CubicSpline(t, x)(wanted), f"interpolated from {1 / step:.4g} Hz, error about {max(error, 0.01):.2g} %"

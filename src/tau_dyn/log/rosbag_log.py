@@ -118,7 +118,7 @@ def check_definitions(definitions: Mapping[str, Any]) -> None:
             if (kind == Nodetype.ARRAY and not 1 <= length <= 2**24) or unrolled > MAX_UNROLLED_ENTRIES:
                 raise ValueError(f"{label} of {name} is an array of {length}")
             if nothing(inside):
-                raise ValueError(f"{label} of {name} is a list of messages that hold nothing")
+                raise ValueError(f"{label} of {name} is a list of empty messages")
 
 
 def limit_decompression(decompress: Callable[[bytes], bytes], inflated: DecompressionLimit) -> Callable[[bytes], bytes]:
@@ -221,7 +221,7 @@ def _files(path: Path) -> tuple[tuple[Path, ...], bool]:
     names = about.get("relative_file_paths")
     if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
         raise InputError(
-            "damaged_file", f"{path / METADATA} does not list the bag's files; 'ros2 bag reindex' writes it anew."
+            "damaged_file", f"{path / METADATA} does not list the bag's files; 'ros2 bag reindex' writes it again."
         )
     if str(about.get("compression_mode") or "none").lower() != "none" or any(n.endswith(".zstd") for n in names):
         raise InputError(

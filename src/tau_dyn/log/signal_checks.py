@@ -88,7 +88,7 @@ class LogCheck(Shown):
 
         If a warning gives the line of a map for a column, the line that the column's range alone suggested is dropped.
         """
-        sentence = f"{self.name}: wiring and the time of the forces were held against the masses of the robot file."
+        sentence = f"{self.name}: wiring and the time of the forces were compared with the masses of the robot file."
         judged = CheckFinding("ok", "synchronisation", sentence)
         kept = [f for f in self.findings if (f.topic, f.severity) != ("synchronisation", "ok")]
         faults = [build_fault(warning) for warning in warnings]
@@ -179,11 +179,11 @@ def check_jumps(
     where = f"first by {sizes[0]:.3g}{unit} after t = {log.t[at[0]]:.6g} s"
     sentence = f"{log.name}: q_{joint} jumps {count(len(at), 'time')}, {where}, further than it can move in a sample"
     if wraps:
-        why, remedy = "the encoder begins anew each turn", "Unwrap it (numpy.unwrap)."
+        why, remedy = "the encoder restarts each turn", "Unwrap it (numpy.unwrap)."
     else:
-        why = "readings were lost, or the encoder was set anew"
+        why = "readings were lost, or the encoder was reset"
         remedy = "Leave out the lines of lost readings, or flag them in a column (--exclude); "
-        remedy += "cut the log where an encoder was set anew."
+        remedy += "cut the log where an encoder was reset."
     return CheckFinding("fault", "jumps", f"{sentence}: {why}.", remedy)
 
 
@@ -418,6 +418,6 @@ def _clipped(log: Log, column: str, share: float) -> CheckFinding | None:
         return None
     x = log.channels[column]
     extremes = f"its extremes ({x.min():.5g}, {x.max():.5g})"
-    sentence = f"{log.name}: {column} sits on a plateau at {extremes} in {100 * share:.2g} % of samples."
+    sentence = f"{log.name}: {column} is on a plateau at {extremes} in {100 * share:.2g} % of samples."
     severity = "fault" if share > 0.05 else "warning"
     return CheckFinding(severity, "clipping", sentence, "Move more gently, or widen the drive's or logger's range.")

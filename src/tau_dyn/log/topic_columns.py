@@ -137,7 +137,7 @@ class _Joints:
             if len(numbers) not in (0, len(names)):
                 raise InputError(
                     "bad_sample",
-                    f"{where} has {len(names)} names and {len(numbers)} in {field}; each joint needs one, or none of them.",
+                    f"{where} has {len(names)} names and {len(numbers)} in {field}; all joints need one, or no joint does.",
                 )
             try:
                 values.extend(map(float, numbers if order is None or not numbers else [numbers[k] for k in order]))
@@ -157,7 +157,8 @@ class _Joints:
                 continue
             if len(values) != n * k:
                 raise InputError(
-                    "file_format", f"{name}: only some of its messages have {field}; all of them need it, or none."
+                    "file_format",
+                    f"{name}: only some of its messages have {field}; either all of them need it, or no joint does.",
                 )
             for joint, column in zip(self.names, np.frombuffer(values).reshape(n, k).T, strict=True):
                 if not np.isnan(column).all():  # a driver without torque sensing sends NaN

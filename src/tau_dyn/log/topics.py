@@ -88,7 +88,7 @@ def _main(name: str, topics: Sequence[Topic], wanted: Mapping[str, str]) -> Topi
             break
     raise InputError(
         "file_format",
-        f"{name} has the topics {format_names(_names(topics))}, and it is not clear which is the log; a column map says so: "
+        f"{name} has the topics {format_names(_names(topics))}, and it is not clear which is the log; a column map names it: "
         f"q_axis: {_example(topics)}.",
     )
 
@@ -213,7 +213,7 @@ class _Clock:
             said.append(f"{self.name}: {repeated} {samples} of {topic} repeat the one before, and were left out.")
         if cut:
             said.append(
-                f"{self.name}: {cut} {samples} of {topic} at its ends were left out; other topics have none there."
+                f"{self.name}: {cut} {samples} of {topic} at its ends were left out; other topics have no samples there."
             )
         return said
 

@@ -258,7 +258,7 @@ def _require_checksum(file: DataFile, content: bytes, where: str) -> None:
         raise InputError(
             "wrong_checksum",
             f"{where} is not the published file: its sha256 begins with {found[:12]}, the published one's with "
-            f"{file.sha256[:12]}; nothing was written",
+            f"{file.sha256[:12]}; no file was written",
         )
 
 

@@ -238,7 +238,7 @@ def identify_fleet(
     if not parameters:
         raise CannotAnswer(
             "not_identifiable",
-            "no parameter is told by three units or more",
+            "no parameter is determined by three units or more",
             "record all joints in both directions on each",
         )
     outlying = find_outlying_units(parameters)
@@ -339,5 +339,5 @@ def _list_warnings(
     if partly:
         said.append(f"not all units tell {format_list(partly, 4)}; record them with the same motion")
     if len(units) < _MIN_UNITS_OUTLYING:
-        said.append(f"{len(units)} units do not tell whether one of them is outlying; four would")
+        said.append(f"{len(units)} units do not show whether one of them is outlying; four would")
     return said

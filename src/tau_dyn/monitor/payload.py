@@ -308,7 +308,7 @@ def find_carrying_link(robot: Robot, name: str | None) -> LinkInertia:
         if body is None:
             raise InputError(
                 "bad_option",
-                f"{robot.name} has several ends; say which link carries the payload with --link, or --tool",
+                f"{robot.name} has several ends; name the link that carries the payload with --link, or --tool",
             )
         return body
     body = next((link for link in robot.links if link.link == name), None)
@@ -474,7 +474,7 @@ def _refuse_undetermined(
     )
     raise TooLittleTold(
         "too_little_data",
-        f"the logs do not tell the payload's mass: {told}",
+        f"the logs do not determine the payload's mass: {told}",
         _propose_motion(model, body, found.estimate.sigma, allowed, seed),
     )
 

@@ -82,7 +82,7 @@ def list_assumptions(assumed: tuple[str, ...] | list[str]) -> list[Chapter]:
     """Return a page's collapsed section of the robot file's assumptions; an empty list without assumptions."""
     if not assumed:
         return []
-    return [Chapter("assumed", "What the robot file assumes", lambda: [Listing(list(assumed))], On.PAGE, folded=True)]
+    return [Chapter("assumed", "Assumptions of the robot file", lambda: [Listing(list(assumed))], On.PAGE, folded=True)]
 
 
 def list_logs_used(provenance: Mapping[str, Any]) -> list[tuple[str, str, str]]:

@@ -62,7 +62,7 @@ def plot_outputs(stretches: Sequence[PlottedSegment], outputs: Sequence[str], un
         InputError: Matplotlib is not installed, or there are no data to draw.
     """
     if not stretches:
-        raise InputError("unsupported", "no samples are kept in memory, so that nothing can be drawn")
+        raise InputError("unsupported", "no samples are kept in memory, so that there is no curve to draw")
     figure, axes = _make_axes(len(outputs))
     start = 0.0
     for number, one in enumerate(stretches):

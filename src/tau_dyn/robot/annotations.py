@@ -413,7 +413,7 @@ class _Reader:
                 why = "has a <transmission>" if name in driven else "has two springs"
                 raise InputError(
                     "robot_structure",
-                    f"{self.where}: joint '{name}' {why}; a <tau_dyn:spring> stands alone on a passive joint, the spring "
+                    f"{self.where}: joint '{name}' {why}; a <tau_dyn:spring> is for a passive joint, the spring "
                     "between a drive and its link is a <tau_dyn:drive_spring>",
                 )
             found[name] = self._spring(element, name)

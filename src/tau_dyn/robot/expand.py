@@ -201,7 +201,8 @@ def _expand(
         if is_xacro(path, document):
             if not evaluate:
                 raise InputError(
-                    "unsupported", f"{path} is a xacro, which is code, and none may run; expand it to plain URDF first"
+                    "unsupported",
+                    f"{path} is a xacro, which is code, and no code may run; expand it to plain URDF first",
                 )
             evaluate_xacro(document, path, own, _parse, read_table, find)
             check_depth(document, str(path))

@@ -41,7 +41,7 @@ def convert_mjcf(text: str, path: Path) -> str:
     for add in (_couple, _drive, _close_loops, _place_home):
         add(tree)
     for body in tree.free:
-        link, sentence = tree.bodies[body].link, f"body '{body}' is free in the file; here it stands still"
+        link, sentence = tree.bodies[body].link, f"body '{body}' is free in the file; here it is fixed"
         SubElement(root, FREE_BODY, link=link)
         SubElement(root, f"{{{_OURS}}}warning", text=sentence, free_body=link)
     left_out = [f"left out: {what} {', '.join(names)}" for what, names in tree.left_out.items()]

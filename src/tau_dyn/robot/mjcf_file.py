@@ -247,7 +247,7 @@ def _include(root: Element, file: Path, where: str) -> None:
         element, level = left.pop()
         if level > MAX_LEVELS:
             raise InputError(
-                "robot_structure", f"{where}: elements stand more than {MAX_LEVELS} deep inside each other"
+                "robot_structure", f"{where}: elements are nested more than {MAX_LEVELS} deep inside each other"
             )
         k = 0
         while k < len(element):

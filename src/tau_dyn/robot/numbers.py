@@ -64,7 +64,7 @@ def _refuse_deep(root: Any, children: Callable[[Any], Iterable[Any]], where: str
             return
     raise InputError(
         "robot_structure",
-        f"{where}: elements stand more than {MAX_LEVELS} deep inside each other; a robot file has few levels",
+        f"{where}: elements are nested more than {MAX_LEVELS} deep inside each other; a robot file has few levels",
     )
 
 

@@ -121,7 +121,7 @@ def list_missing_meshes(names: Sequence[str]) -> list[str]:
     listed = ", ".join(names[:_MAX_LISTED]) + (" and more" if len(names) > _MAX_LISTED else "")
     several = "meshes are" if len(names) > 1 else "mesh is"
     return [
-        f"{len(names)} {several} not drawn, not found or not readable: {listed}; --package NAME=DIR says where one lies"
+        f"{len(names)} {several} not drawn, not found or not readable: {listed}; --package NAME=DIR gives its folder"
     ]
 
 

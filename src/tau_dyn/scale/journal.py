@@ -110,7 +110,7 @@ def _done(file: BinaryIO, path: Path, head: dict[str, Any]) -> dict[str, Any]:
             "mismatch", f"{path} holds results of {rows[0].get('about')}, not of {head['about']}; name another file"
         )
     if (rows[0].get("version"), rows[0].get("code")) != (head["version"], head["code"]):
-        raise InputError("mismatch", f"{path} was begun by other code than this; remove it to begin anew")
+        raise InputError("mismatch", f"{path} was begun by other code than this; remove it to begin again")
     return {row["item"]: row["result"] for row in rows[1:]}
 
 
@@ -121,7 +121,7 @@ def _row(path: Path, number: int, line: bytes) -> dict[str, Any]:
             return row
     except (ValueError, RecursionError):
         pass
-    raise InputError("file_format", f"{path}, line {number} is no line of a journal; remove the file to begin anew")
+    raise InputError("file_format", f"{path}, line {number} is no line of a journal; remove the file to begin again")
 
 
 def _append(file: BinaryIO, row: dict[str, Any]) -> None:

@@ -98,7 +98,7 @@ def _name_missing(data: LoopData, x: np.ndarray, progress: Callable[[str], None]
     best = max(found, default=(0.0, "", ""))
     if best[0] < MIN_FALL:
         return f"; neither {' nor '.join(MISSING.values())} explains it; log the servo's output and supply voltage"
-    return f"; what is missing most is {best[1]}; write '{best[2]}: {{estimate: START}}' into the controller file"
+    return f"; the largest missing part is {best[1]}; write '{best[2]}: {{estimate: START}}' into the controller file"
 
 
 def extend_unknowns(u: LoopUnknowns, x: np.ndarray, kinds: Sequence[str], data: LoopData) -> LoopUnknowns:

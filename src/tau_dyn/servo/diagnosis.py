@@ -402,7 +402,7 @@ def _list_limits(
             phrase = f"{cause.replace('_', ' ')} of {amount} at {joint}"
             limits.append(Limit(cause, shown[joint], unit, phrase, tuple(shown.items())))
         else:
-            why = "these logs hardly move with it beside the masses and friction of the refit"
+            why = "these logs hardly depend on it next to the masses and friction of the refit"
             untestable.append(Untestable(cause, why, row.reveals))
     return tuple(limits), tuple(untestable)
 

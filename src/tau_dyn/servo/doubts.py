@@ -53,7 +53,7 @@ def list_unsettled(logs: Sequence[tuple[str, float | None]]) -> list[str]:
     return [
         CodedWarning(
             "not_settled",
-            f"{name}: from {since:.1f} s the simulated joints push each other and do not settle; what is said of this log from "
+            f"{name}: from {since:.1f} s the simulated joints push each other and do not settle; results of this log from "
             "there on cannot be trusted",
         )
         for name, since in logs
@@ -93,7 +93,7 @@ def _describe_accelerations(
                 CodedWarning(
                     "outside_training",
                     f"{r.name}: {joints[worst]} accelerates with {here[worst]:.2g} rad/s^2 over a tenth of the time, "
-                    f"the training logs with {known[worst]:.2g}; the prediction leaves what was learnt",
+                    f"the training logs with {known[worst]:.2g}; the prediction leaves the learnt range",
                 )
             )
     return said
@@ -160,5 +160,5 @@ def _describe_bounds(data: LoopData, fit: LoopFit) -> list[str]:
         if u.free[k, j] and kind in ("armature", "coulomb") and values[kind][j] <= u.lower[k, j]
     ]
     return (
-        [f"{', '.join(at)} ended at the lower bound; the logs do not show it beside the rest of the law"] if at else []
+        [f"{', '.join(at)} ended at the lower bound; the logs do not show it next to the rest of the law"] if at else []
     )

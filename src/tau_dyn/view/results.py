@@ -280,7 +280,7 @@ def _accuracy(content: dict[str, Any], robot: Robot, path: Path, compute: bool) 
         worst = [content["methods"][m]["worst_pose"]["tool"] for m in methods]
         if not worst:
             raise InputError(
-                "file_format", f"{path}: no errors of the tool in it; name what is wrong with --actuator-error"
+                "file_format", f"{path}: no errors of the tool in it; give the errors with --actuator-error"
             )
         values = {f"largest error, {m} [mm]": np.array([1e3 * content["methods"][m]["max"]]) for m in methods[:1]}
         return [Cloud("accuracy: worst pose", np.array(worst[:1], float), values)]
@@ -322,7 +322,7 @@ def _modes(content: dict[str, Any], robot: Robot, path: Path, compute: bool) -> 
     shapes = project_shapes_on_robot(robot, modes, outputs)
     if shapes is None:
         why = "no mode" if not modes else f"its outputs ({', '.join(outputs)}) name no place of {robot.name}"
-        raise InputError("unsupported", f"{path}: nothing to swing: {why}")
+        raise InputError("unsupported", f"{path}: no mode to show: {why}")
     return [shapes]
 
 
@@ -335,7 +335,7 @@ def _identify(content: dict[str, Any], robot: Robot, path: Path, compute: bool) 
             error, value = p.get("stderr"), float(p["value"])
             links[link.link] = float("nan") if error is None or not value else abs(float(error) / value)
     if not links:
-        raise InputError("unsupported", f"{path}: none of its parameters is the mass of a link of {robot.name}")
+        raise InputError("unsupported", f"{path}: no parameter is the mass of a link of {robot.name}")
     return [Uncertainty(links)]
 
 

@@ -291,5 +291,5 @@ def _refuse_address(host: str) -> None:
         reason = getattr(fault, "strerror", None) or "no such address"
         raise InputError(
             "not_available",
-            f"nothing can listen at {host!r}: {reason}; give an address of this computer, such as {LOOPBACK}",
+            f"no server can listen at {host!r}: {reason}; give an address of this computer, such as {LOOPBACK}",
         ) from fault

@@ -69,7 +69,7 @@ def match_images(cameras: Sequence[Sequence[Path]]) -> list[list[int]]:
     counts = " and ".join(str(len(paths)) for paths in cameras)
     raise InputError(
         "mismatch",
-        f"{counts} images of the two cameras cannot be told to belong together; number them alike, as left_001 and right_001",
+        f"{counts} images of the two cameras cannot be paired; give pairs the same number, as left_001 and right_001",
     )
 
 
@@ -228,5 +228,5 @@ def check_cameras(cameras: Cameras, seen: Album) -> None:
             raise InputError(
                 "mismatch",
                 f"{seen.paths[c][0].name} has {here[0]}x{here[1]} pixels, but camera {c + 1} was calibrated with "
-                f"{known[0]}x{known[1]}; calibrate it anew with images of this size",
+                f"{known[0]}x{known[1]}; calibrate it again with images of this size",
             )

@@ -301,7 +301,7 @@ def _build_table(
     if pattern.turns > 1:
         rotation[keep], clear = follow_turns(rotation[keep], robot.q[keep])
         turned = _describe_turns([names[k] for k in keep], clear, bool(robot.joints))
-        refused |= {names[k]: "which of its quarter turns the plate has cannot be told" for k in keep[~clear]}
+        refused |= {names[k]: "the quarter turn of the plate cannot be determined" for k in keep[~clear]}
         keep = keep[clear]
     rms = np.array(
         [np.sqrt((bundle.residuals[solved.views.camera == c] ** 2).sum(-1).mean()) for c in range(bundle.cameras.n)]

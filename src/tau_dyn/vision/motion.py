@@ -145,7 +145,7 @@ def read_image_names(table: Table) -> tuple[str, ...] | None:
     twice = next((name for k, name in enumerate(images) if name in images[:k]), None)
     if twice:
         raise InputError(
-            "duplicate_name", f"{table.name}, column image: {twice} stands there twice; every image has one row"
+            "duplicate_name", f"{table.name}, column image: {twice} is there twice; every image has one row"
         )
     return images
 
@@ -188,7 +188,7 @@ def estimate_clock_offset(t: np.ndarray, position: np.ndarray, weight: np.ndarra
         which = f"{value:.4g} s and {others[0][1]:.4g} s" if others else f"{value:.4g} ± {2 * stderr:.2g} s"
         raise CannotAnswer(
             "not_identifiable",
-            f"the images do not tell the offset between their clock and that of {log.source}: {which} fit alike",
+            f"the images do not determine the offset between their clock and that of {log.source}: {which} fit alike",
             "move to and fro through the same places, at speeds that do not repeat, and take 50 images or more",
         )
     return LogOffset(value, stderr, degree, velocity)

@@ -60,7 +60,7 @@ class Pattern:
         if (self.columns + self.rows) % 2 == 0:
             raise InputError(
                 "invalid_value",
-                f"a pattern of {self.name} inner corners looks the same upside down, so its orientation cannot be told; "
+                f"a pattern of {self.name} inner corners looks the same upside down, so its orientation cannot be determined; "
                 f"use one with an odd and an even number, such as {self.columns}x{self.rows - 1}",
             )
 

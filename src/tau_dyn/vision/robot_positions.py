@@ -70,7 +70,7 @@ def match_rows(rows: np.ndarray, images: Sequence[str] | None, names: Sequence[s
     if twice:
         raise InputError(
             "duplicate_name",
-            f"two images are called {twice}, so {source} cannot say which is meant; give them names of their own",
+            f"two images are called {twice}, so {source} does not show which is meant; give them names of their own",
         )
     row = {name: k for k, name in enumerate(images)}
     unknown = [name for name in images if name not in set(names)]

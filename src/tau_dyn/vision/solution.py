@@ -297,7 +297,7 @@ def _determined(bundle: Bundle, known: Cameras | None) -> None:
         if singular or not stderr < _MAX_RELATIVE_FOCAL_STDERR * abs(f):
             raise CannotAnswer(
                 "not_identifiable",
-                f"the images do not tell the focal length of camera {c + 1} from the distance of the plate "
+                f"the images do not determine the focal length of camera {c + 1} from the distance of the plate "
                 f"(f = {f:.0f} px, 95 % interval [{f - 1.96 * stderr:.0f}, {f + 1.96 * stderr:.0f}] px): the plate "
                 f"has nearly the same tilt in all of them",
                 "take ten more images with the plate held by hand at tilts of 20 to 45 degrees in several directions (they need "

@@ -176,7 +176,7 @@ def read_correction(path: str | Path, joints: Sequence[str], *, period: float = 
     if head is None:
         raise InputError(
             "file_format",
-            f"{table.name}: its first line does not say which motion it corrects; it is no correction file",
+            f"{table.name}: its first line does not name the motion that it corrects; it is no correction file",
         )
     t = table.numbers("t")
     if len(t) < 2:

@@ -209,7 +209,7 @@ def require_period(t: np.ndarray, period: float, name: str) -> None:
         raise InputError(
             "time_stamps",
             f"{name}: it has a sample every {1e3 * mean:.6g} ms, the controller takes one every {1e3 * period:.6g} ms and would "
-            f"play it {mean / period:.3g} times as fast; resample it, or say the controller's period",
+            f"play it {mean / period:.3g} times as fast; resample it, or give the controller's period",
         )
 
 

@@ -342,14 +342,15 @@ def _decide(
         )
     if misses >= _MISSES and base < len(outcomes) - misses:
         return "stop", (
-            f"the last {misses} trials ended above their predicted intervals or the first error, and none is better than {best}; "
+            f"the last {misses} trials ended above their predicted intervals or the first error, and no trial is better "
+            f"than {best}; "
             "its correction stays"
         )
     if options.given:
         return "learn", ""
     if misses:
         return "change", (
-            f"trial {len(outcomes)} ended above its prediction or the first error; the law is chosen anew with half the gain"
+            f"trial {len(outcomes)} ended above its prediction or the first error; the law is chosen again with half the gain"
             + ("" if base == len(outcomes) - 1 else f", from {best} on")
         )
     if len(outcomes) >= _TRIALS_FOR_A_FLOOR and forecast.rms > _GAINED * outcomes[base]:

@@ -279,6 +279,6 @@ def _require_small(u: np.ndarray, allowed: float, k: int) -> None:
     if not size <= allowed:
         raise InputError(
             "invalid_value",
-            f"iteration {k} asks for a correction of {size:.3g}, more than the {allowed:.3g} allowed; the robot does not do what "
-            "its model says, or the limit is too low",
+            f"iteration {k} asks for a correction of {size:.3g}, more than the {allowed:.3g} allowed; the robot does not follow "
+            "its model, or the limit is too low",
         )

@@ -101,7 +101,7 @@ def refuse_unstable(s: LeadThroughSettings) -> None:
         raise InputError(
             "unstable",
             f"a hand of {s.hand_stiffness:g} N/m on a handle of {light:g} kg and {least:g} N s/m oscillates "
-            f"at {limit.hz:.1f} Hz; this handle bears {limit.gain:.3g} N/m: more mass or damping is needed",
+            f"at {limit.hz:.1f} Hz; this handle allows {limit.gain:.3g} N/m: more mass or damping is needed",
         )
 
 

@@ -174,7 +174,7 @@ def _check_spline(model: Model, spline: BSpline, poses: Poses, start: np.ndarray
     if not off[worst] < _OFF:
         where = _at(straight[worst])
         raise InputError(
-            "unreachable", f"at {where} the path asks joints to turn at once, as beside a singularity or a corner"
+            "unreachable", f"at {where} the path asks joints to turn at once, as near a singularity or at a corner"
         )
 
 

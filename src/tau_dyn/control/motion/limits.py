@@ -163,7 +163,7 @@ def _reached(robot: Robot, position: np.ndarray, name: str, near: np.ndarray | N
         joint = f" at {found.culprit[0]}" if found.culprit[0] else ""
         at = ", ".join(f"{x:.6g}" for x in position)
         raise InputError(
-            "unreachable", f"{robot.source}: the tool cannot stand at the {name} ({at}) m: {found.reason[0]}{joint}"
+            "unreachable", f"{robot.source}: the tool cannot reach the {name} ({at}) m: {found.reason[0]}{joint}"
         )
     return found.q[0]
 

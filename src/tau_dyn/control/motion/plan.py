@@ -251,7 +251,7 @@ def plan_motion(
     first = compute_end_positions(model, start, "start", limits, joints=joints)
     last = compute_end_positions(model, end, "end", limits, joints=joints, near=first)
     if np.abs(last - first).max() < _MIN_DISTANCE:
-        raise InputError("invalid_value", "start and end are one place; there is nothing to move")
+        raise InputError("invalid_value", "start and end are the same place; there is no motion to plan")
     coordinates = _coordinates(model, first, last, path, limits)
     inside = limits.inside(MAX_LIMIT_EXCESS)
     search = _search(model, coordinates, inside, energy_weight, nodes)

@@ -137,9 +137,7 @@ class KalmanToolObserver:
         if not (np.linalg.eigvalsh(self.R1).min() >= -1e-7 * np.abs(self.R1).max() and np.all(np.isfinite(self.R1))):
             raise InputError("invalid_value", "the process noise must be a covariance: symmetric, finite, not negative")
         if not np.linalg.eigvalsh(self.R2).min() > 0:
-            raise InputError(
-                "invalid_value", "the accelerometer's variance must be positive; a perfect sensor has none of this use"
-            )
+            raise InputError("invalid_value", "the accelerometer's variance must be positive")
 
     @property
     def dt(self) -> float:

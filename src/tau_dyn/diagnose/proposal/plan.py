@@ -133,7 +133,9 @@ def build_refusal(cause: str, twins: Sequence[tuple[str, str]]) -> CannotAnswer:
     """Return the error for a cause that no motion distinguishes from its alternatives, pairs of name and experiment."""
     names = " or ".join(name for name, _ in twins)
     experiments = list(dict.fromkeys(experiment for _, experiment in twins))
-    return CannotAnswer("no_solution", f"no motion of this robot tells {cause} from {names}", "; ".join(experiments))
+    return CannotAnswer(
+        "no_solution", f"no motion of this robot separates {cause} from {names}", "; ".join(experiments)
+    )
 
 
 def _beyond(cause: str, twins: Sequence[str], default: str = "") -> CannotAnswer:
@@ -163,7 +165,7 @@ def _unseen(diagnosis: Diagnosis, signals: Collection[str]) -> DesignGoal:
     if not causes:
         raise CannotAnswer(
             "nothing_to_do",
-            "nothing is left open that a motion would show",
+            "no open question is left that a motion would answer",
             "; ".join(dict.fromkeys(u.experiment for u in diagnosis.untestable if u.experiment != NO_EXPERIMENT))
             or "record the motion that matters to you",
         )

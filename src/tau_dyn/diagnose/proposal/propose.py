@@ -211,7 +211,7 @@ def propose_motion(
     length = (duration - (number - 1) * (_REST_S + _STILL_S)) / number
     progress("motions to choose from")
     pieces = build_candidate_pieces(diagnosis.extended_model, length, trials, rng)
-    progress("what they show")
+    progress("their effects")
     needs = get_required_signals(question)
     recorded = build_measured_motions(setting, logs, needs)
     offered = [build_planned_motion(setting, piece, needs) for piece in pieces]

@@ -141,9 +141,7 @@ def read_errors_file(path: str | Path, actuated: Sequence[str], rods: Sequence[s
     """
     where, content = str(path), read_yaml(path)
     if not isinstance(content, dict) or not content or not set(content) <= {"actuators", "rods"}:
-        raise InputError(
-            "file_format", f"{where}: an errors file holds 'actuators' and 'rods', mappings, and nothing else"
-        )
+        raise InputError("file_format", f"{where}: an errors file holds the mappings 'actuators' and 'rods' only")
     actuators = {
         joint: _actuator(row, f"{where}: {joint}")
         for joint, row in _rows(content.get("actuators"), actuated, "actuated joint", where).items()

@@ -211,7 +211,7 @@ def _describe_unreached(kinematics: Kinematics, section: Section, tool: Poses | 
     axis = AXES[section.axis]
     home = "" if tool is None else f"; at home the tool is at {axis}={tool.position[0, section.axis]:.4g}"
     return (
-        f"{kinematics.robot.source} reaches nothing of the section {section.words}{home}; "
+        f"{kinematics.robot.source} reaches no point of the section {section.words}{home}; "
         "cut where it goes (without limits: --no-limits), or list --poses"
     )
 

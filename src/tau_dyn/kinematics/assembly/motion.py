@@ -329,7 +329,7 @@ def _search(rods: Rods, home: Sample, mode: Sample, limits: Limits, n_samples: i
             first, second = halves if trees[0].root is home else halves[::-1]
             return _answer(REACHABLE, "a motion without a singularity was found", first + second[-2::-1])
         trees.reverse()
-    why = f"the determinant has the same sign, but {n_samples} random poses gave no motion; that does not prove there is none"
+    why = f"the determinant has the same sign, but {n_samples} random poses gave no motion, which is no proof"
     return _answer(UNKNOWN, why, [])
 
 

@@ -294,7 +294,7 @@ def find_translating_modes(
     if area <= 1e-24 * (u @ u) * (w @ w) or area == 0:
         raise InputError(
             "unsupported",
-            "the spheres' centres stand in one line, so the plate is free to go round it: infinitely many modes",
+            "the spheres' centres are on one line, so the plate is free to turn about it: infinitely many modes",
         )
     square = lengths**2
     points = [intersect_spheres(centres[:, :, None].astype(complex), square[:, None], side) for side in (1.0, -1.0)]
@@ -302,7 +302,7 @@ def find_translating_modes(
     gaps = position[:, None] - centres
     residual = np.abs(np.sqrt((gaps * gaps).sum(axis=2)) - lengths).max(axis=1)
     flat = abs(height) <= _FLAT
-    why = "three spheres meet in two points" + ("; here the two are closer than rounding can tell" if flat else "")
+    why = "three spheres meet in two points" + ("; here the two are closer than rounding can separate" if flat else "")
     quaternion = convert_to_quaternions(Poses(np.zeros((1, 3)), rotation[None]))
     return AssemblyModes(
         position=position,

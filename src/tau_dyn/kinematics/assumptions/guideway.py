@@ -257,15 +257,13 @@ def _check(joint: str, q: np.ndarray, points: np.ndarray) -> None:
     if len(q) < MIN_POINTS:
         raise InputError(
             "too_little_data",
-            f"{joint}: {len(q)} points cannot tell a line from its errors; measure at least {MIN_POINTS}",
+            f"{joint}: {len(q)} points cannot separate a line from its errors; measure at least {MIN_POINTS}",
         )
     travel = float(np.ptp(q))
     moved = travel >= 10 * np.finfo(float).eps * max(1.0, np.abs(q).max())
     places = len(np.unique(np.round((q - q.min()) / travel, _PLACE_DIGITS))) if moved else 1
     if places < SHAPE_DEGREE + 1:
-        raise InputError(
-            "too_little_data", f"{joint}: the cart stands at {places} places; measure it along its guideway"
-        )
+        raise InputError("too_little_data", f"{joint}: the cart is at {places} places; measure it along its guideway")
 
 
 def _correlation(e: np.ndarray) -> float:

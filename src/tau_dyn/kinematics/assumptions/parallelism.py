@@ -56,7 +56,7 @@ class Parallelism:
         """The verdict in a sentence."""
         size = f"{1e3 * self.angle:.3f} +- {1e3 * self.stderr:.3f} mrad"
         if not self.sure:
-            return f"{self.joints[0]} and {self.joints[1]} are parallel as far as these points tell ({size})."
+            return f"{self.joints[0]} and {self.joints[1]} are parallel as far as these points show ({size})."
         return f"{self.joints[0]} and {self.joints[1]} are not parallel: {size}, {1e6 * self.apart:.0f} um over the travel."
 
     def to_dict(self) -> dict[str, Any]:
@@ -231,7 +231,7 @@ def _split(turn: np.ndarray, place: np.ndarray, layer: np.ndarray) -> tuple[Part
     both = np.hstack([one, by_place, by_layer])
     free = n - np.linalg.matrix_rank(both)
     if free < 3:
-        return None, None, rest_rms, "too few places were visited twice to tell rods from carts"
+        return None, None, rest_rms, "too few places were visited twice to separate rods from carts"
     effect = np.linalg.lstsq(both, turn, rcond=None)[0]
     rest = turn - both @ effect
     total = float(np.sum((turn - turn.mean(axis=0)) ** 2))

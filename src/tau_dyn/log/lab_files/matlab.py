@@ -135,7 +135,7 @@ def _matrix(data: memoryview, order: str, depth: int, left: Iterator[int]) -> tu
             raise ValueError(f"{name or 'a field'} has numbers of an unknown kind")
         array = np.frombuffer(numbers, dtype=order + _DTYPES[code])
         if array.size != count:
-            raise ValueError(f"{name or 'a field'} has {array.size} numbers where its dimensions say {count}")
+            raise ValueError(f"{name or 'a field'} has {array.size} numbers but its dimensions give {count}")
         return name, array.reshape(shape, order="F")
     if kind == _OBJECT:
         return name, Opaque

@@ -46,7 +46,9 @@ def present_accuracy(found: AccuracyResult, *, files: Sequence[tuple[str, str]] 
         r.Chapter("methods", "Every method on the same errors", lambda: _build_methods(found), r.On.ALL, when=known),
         r.Chapter("linear", "Where the simple bounds fail", lambda: _build_failures(found), when=known),
         r.Chapter("bodies", "Where the tool may be", lambda: _build_bodies(found), when=bool(found.bodies)),
-        r.Chapter("measured", "What the measured points say", lambda: _build_measured(found), r.On.ALL, when=measured),
+        r.Chapter(
+            "measured", "Results of the measured points", lambda: _build_measured(found), r.On.ALL, when=measured
+        ),
     ]
     return r.Presentation(
         "Accuracy of", robot.name, f"{robot.name}: accuracy", r.end_sentence(describe_headline(found)), describe_verdict(found),
@@ -96,7 +98,7 @@ def _build_methods(found: AccuracyResult) -> Iterator[r.Element]:
         yield r.explain(f"{method} is left out: {why}.", on=r.On.PRINTED)
     drawn = (
         f"Monte Carlo: {a.samples} draws a pose, uniform within the bounds; it approaches the worst case from below "
-        "and shows what is usual. "
+        "and shows the usual case. "
         if a.samples
         else ""
     )
@@ -180,7 +182,7 @@ def _build_failures(found: AccuracyResult) -> Iterator[r.Element]:
     columns = [r.Column("bound"), r.Column("within 1 % up to", "number"), r.Column("within 10 % up to", "number")]
     said = (
         "Times the stated errors, at the worst pose. A line that ends: beyond it errors can take the robot into a "
-        "singularity, or nothing is proved."
+        "singularity, or no bound is proved."
     )
     yield r.Beside(
         [r.Figures([figure], "wide-chart", key)],
@@ -234,7 +236,7 @@ def _build_measured(found: AccuracyResult) -> Iterator[r.Element]:
             [r.Figures([f for line in seen.guideways for f in figures.build_guideway_figures(line)], "pairs")], ""
         )
         alike = [
-            f" {g.joint}: points so far apart cannot tell this cycle from one of "
+            f" {g.joint}: points at such distances cannot separate this cycle from one of "
             f"{', '.join(map(format_size, g.cycle.aliases))}."
             for g in seen.guideways
             if g.cycle is not None and g.cycle.p_value <= MAX_P_VALUE and g.cycle.aliases
@@ -321,7 +323,7 @@ def describe_verdict(found: AccuracyResult) -> r.Verdict:
     if a is None:
         seen = found.measured
         wrong = any(p.sure for p in seen.parallel) or any(g.shape < 0.01 or g.bow.sure for g in seen.guideways)
-        said = "The nominal model's assumptions fail beyond the scatter; the sections below say by how much."
+        said = "The nominal model's assumptions fail beyond the scatter; the sections below show by how much."
         if wrong:
             return r.Verdict("care", said, "Assumptions fail")
         return r.Verdict("good", "No assumption fails beyond the scatter of these points.", "Assumptions hold")
@@ -332,7 +334,7 @@ def describe_verdict(found: AccuracyResult) -> r.Verdict:
         return r.Verdict("poor", said, "May lose its pose")
     if "exact" not in a.largest:
         return r.Verdict(
-            "care", "Without the exact worst case nothing here tells how good the other bounds are.", "Not compared"
+            "care", "Without the exact worst case the quality of the other bounds is unknown.", "Not compared"
         )
     off = {m: a.off(m) for m in ("linear", "parallelepiped", "ellipsoid") if m in a.largest}
     worst = {m: float(np.nanmax(np.abs(x))) for m, x in off.items() if np.isfinite(x).any()}

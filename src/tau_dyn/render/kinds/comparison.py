@@ -27,7 +27,7 @@ def present_comparison(found: Comparison) -> r.Presentation:
     more = [*list_findings(found), *(line for line in _list_only(found)), *found.warnings]
     different = bool(list_circumstances(found))
     sections = [
-        r.Chapter("circumstances", "What was different", lambda: _build_circumstances(found), r.On.ALL, when=different),
+        r.Chapter("circumstances", "Differences", lambda: _build_circumstances(found), r.On.ALL, when=different),
         r.Chapter("quantities", "Quantities", lambda: _build_quantities(found), r.On.ALL, when=bool(found.changes)),
         r.Chapter("errors", "Errors", lambda: _build_errors(found), r.On.PRINTED, when=bool(found.errors)),
         r.Chapter("more", "Findings and the rest", lambda: _build_rest(found), r.On.ALL, when=bool(more)),
@@ -142,7 +142,7 @@ def list_undetermined(found: Comparison) -> list[str]:
         f"{_name(c)} {r.format_number(c.a)} → {r.format_number(c.b)} {r.format_unit(c.unit)}".rstrip() for c in other
     ]
     lines = [f"Not determined in either result, not compared: {r.format_list(names)}."] if names else []
-    return [*lines, f"Of these, the kept values differ: {r.format_list(kept, 4)}."] if kept else lines
+    return [*lines, f"The kept values differ for: {r.format_list(kept, 4)}."] if kept else lines
 
 
 def _name(change: Change) -> str:

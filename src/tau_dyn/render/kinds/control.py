@@ -201,7 +201,7 @@ def _build_frequencies(found: LearningStep) -> Iterator[Element]:
     yield _table(("joint", "Hz", "first error", "last error", "last growth", "next growth (95 %)"), rows)
     yield Figures([_draw_growth(joint, drive) for joint, drive in zip(found.joints, found.drives, strict=True)])
     yield Text(
-        "Errors in mm or mrad. Growth: an error over that of the trial before; none within the noise. Area: 95 %.",
+        "Errors in mm or mrad. Growth: an error over that of the trial before; empty within the noise. Area: 95 %.",
         "note",
     )
 
@@ -264,7 +264,9 @@ def _build_deflection(found: ToolObservation) -> Iterator[Element]:
         strip = build_strip("deflection [µm]", 200, Curve("deflection", "predicted", deflection), bounds=(-half, half))
         views.append(View("log", axis, found.t, (strip,)))
     yield TimeView(
-        "tool less what the actuators say, over time", views, [Key("predicted", "deflection"), Key("limit", "95 %")]
+        "tool less its position from the actuators, over time",
+        views,
+        [Key("predicted", "deflection"), Key("limit", "95 %")],
     )
     yield Text(f"{ZOOM}Lines: half-width of the 95 % interval around zero deflection.", "note")
 

@@ -194,7 +194,7 @@ def _build_time(found: Diagnosis) -> Iterator[r.Element]:
     views = [_build_view(found, trace, k) for trace in found.traces for k in range(len(found.outputs))]
     yield r.TimeView("measured and predicted over time, before and after, and the residuals", views, key)
     yield r.explain(
-        f"{ZOOM}All curves are filtered by the same low-pass. Good: blue lies on grey, and the blue residual is a thin "
+        f"{ZOOM}All curves are filtered by the same low-pass. Good: blue covers grey, and the blue residual is a thin "
         "band without a pattern, in the shaded parts, too. Dark grey sections (reversals, ends of the log) are not "
         "used and may leave the scale."
     )

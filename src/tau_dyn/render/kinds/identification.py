@@ -53,7 +53,7 @@ def present_identification(found: Identification, *, truth: Mapping[str, float] 
         r.Chapter("uncertain", "", lambda: _list_uncertain(found), r.On.TERMINAL),
         r.Chapter("trust", "Quality of fit", lambda: _build_quality(found)),
     ]
-    facts = [("friction model", found.friction or "as the model file says"), ("seed", str(found.seed))]
+    facts = [("friction model", found.friction or "as in the model file"), ("seed", str(found.seed))]
     return r.Presentation(
         "Identified dynamics", robot.name, f"{robot.name}: identified dynamics", describe_headline(found, truth),
         describe_verdict(found, truth), f"{fit_quality.describe_inputs(found)}.", sections, found.warnings, r.RobotPicture(robot),
@@ -219,7 +219,7 @@ def _list_motors(found: Identification) -> list[r.Chapter]:
         ]
         yield r.ResultTable(columns, rows, on=r.On.ALL)
         yield r.explain(
-            "From the voltage: u = R i + back-EMF v + L di/dt + offset, the force in the current's place where none is logged. "
+            "The voltage gives u = R i + back-EMF v + L di/dt + offset, with the force in place of a current that is not logged. "
             "Behind an ideal gear the back-EMF is the joint's torque constant in N m/A."
         )
 

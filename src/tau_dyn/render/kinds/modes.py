@@ -60,7 +60,7 @@ def present_modes(
         r.Chapter("poles", "Poles and zeros", lambda: _build_poles(found), when=any(q.oscillates for q in found.poles)),
         r.Chapter("tests", "Residuals", lambda: _build_tests(found), when=bool(found.whiteness or found.independence)),
         r.Chapter("mechanical", "Mass, damping, stiffness", lambda: _build_mechanical(found), r.On.PRINTED),
-        r.Chapter("why", "What was decided, and why", lambda: _build_reasons(found), r.On.PRINTED),
+        r.Chapter("why", "Decisions and reasons", lambda: _build_reasons(found), r.On.PRINTED),
     ]
     return r.Presentation(
         "Resonances of", ", ".join(names) or "log", f"{names[0] if names else 'log'}: resonances", describe_headline(found),
@@ -158,7 +158,7 @@ def _build_modes(
             "The measured point's path through one swing, sizes of the axes to each other true, slowed down."
             if r.find_space_axes(found.outputs)
             else "How far each output swings, in its own unit, at the moment of the largest; dashed, half a period later, and an "
-            "orange line what comes a quarter of a period later."
+            "orange line a quarter of a period later."
         )
 
 
@@ -308,7 +308,7 @@ def _build_poles(found: Modes) -> Iterator[r.Element]:
     figure = figures.build_pole_figure(found)
     yield r.Figures([] if figure is None else [figure], "wide-chart")
     together = " of all transfer functions together" if len(found.inputs) > 1 else ""
-    unlike = " (none for unlike numbers of inputs and outputs)" if len(found.inputs) != len(found.outputs) else ""
+    unlike = " (not for unlike numbers of inputs and outputs)" if len(found.inputs) != len(found.outputs) else ""
     yield r.explain(
         f"Crosses: poles, with their 95 % ellipses. Rings: zeros{together}{unlike}. Farther left: faster decay; poles "
         "with a very fast decay are left out."

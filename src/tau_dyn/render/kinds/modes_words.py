@@ -72,7 +72,7 @@ def describe_verdict(found: Modes | OperationalModes) -> r.Verdict:
     """Return the verdict on the use of the model."""
     if isinstance(found, OperationalModes):
         return _judge(
-            "care", "Use frequencies, damping and shapes; the forces were not measured, so nothing has a scale."
+            "care", "Use frequencies, damping and shapes; the forces were not measured, so shapes have no scale."
         )
     fit, failed = found.judged.mean, [t for t in found.independence if not t.passed]
     if fit > 0 and fit < FAIR_FIT and not failed and select_known_resonances(found):

@@ -81,7 +81,7 @@ def _list_properties(found: PayloadEstimate) -> Iterator[r.Element]:
     yield r.explain(f"In the frame of {found.frame}; inertia about the centre.", on=r.On.ALL)
     yield r.explain(
         "± is one standard error; coloured noise and friction that differs between the logs are allowed for. A drive gain "
-        "that is off scales mass and inertia alike."
+        "that is off scales mass and inertia equally."
     )
 
 
@@ -163,7 +163,7 @@ def _list_alarms(found: WatchResult) -> Iterator[r.Element]:
     if found.unfelt:
         yield r.Text(f"This robot does not feel: {r.format_list([d.words for d in found.unfelt], 20)}.", on=r.On.DRAWN)
     yield r.explain(
-        "Sizes against the reference, the first motion, in which what the model misses counts as normal. ± is one standard "
+        "Sizes against the reference, the first motion, in which the residual of the model counts as normal. ± is one standard "
         "error. Blocks of 2 s in which joints move count as time."
     )
 

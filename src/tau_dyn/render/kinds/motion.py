@@ -67,9 +67,9 @@ def present_simulation(found: SimulatedLog) -> r.Presentation:
     rows = [_follow(log, robot, k) for k in range(robot.na)]
     sections = [
         *warn(log.warnings),
-        r.Chapter("signals", "What the log shows", lambda: _build_signals(log, robot)),
+        r.Chapter("signals", "Contents of the log", lambda: _build_signals(log, robot)),
         r.Chapter("joints", "Joint by joint", lambda: [_build_followed(rows)], r.On.ALL),
-        r.Chapter("truth", "What was simulated", lambda: _build_truth(found)),
+        r.Chapter("truth", "Simulated model", lambda: _build_truth(found)),
     ]
     text = f"{r.format_number(log.duration, 4)} s of simulated {robot.name} at {r.format_number(log.rate_hz, 4)} Hz"
     errors = [row["error_share"] for row in rows if row["error_share"] is not None]
@@ -101,7 +101,7 @@ def _build_signals(log: Log, robot: Robot) -> Iterator[r.Element]:
     yield r.TimeView("position, how far it is behind its reference, and force, over time", views, key)
     yield r.explain(
         f"{ZOOM}As the sensors read it. A limit is drawn where the motion comes near it. Good: the position stays on "
-        "its reference, and no force sits at its limit."
+        "its reference, and no force is at its limit."
     )
 
 

@@ -36,7 +36,7 @@ def present_motion_plan(plan: MotionPlan) -> r.Presentation:
 def _build_forces(plan: MotionPlan) -> Iterator[r.Element]:
     yield r.Figures([_draw_force(plan, k) for k in range(len(plan.joints))], on=r.On.DRAWN)
     yield r.explain(
-        "What the model needs for the motion, friction included. Dashed: the limit. In the shortest time at least one "
+        "The model's forces for the motion, friction included. Dashed: the limit. In the shortest time at least one "
         "drive is at its limit nearly always."
     )
     reached = [
@@ -99,7 +99,7 @@ def _list_facts(plan: MotionPlan) -> list[tuple[str, str]]:
     return [
         ("duration", f"{plan.duration:.4f} s"),
         ("sum of squared forces over time", f"{plan.energy:.5g} {format_squares_unit(plan)} s"),
-        ("work of the drives, nothing recovered", f"{plan.work:.4g} J"),
+        ("work of the drives, without recovery", f"{plan.work:.4g} J"),
         ("weight of the squared forces", f"{plan.energy_weight:.4g} s per {format_squares_unit(plan)} s"),
         ("trapezoidal profile it started from", f"{plan.start_duration:.4f} s"),
     ]
@@ -108,7 +108,7 @@ def _list_facts(plan: MotionPlan) -> list[tuple[str, str]]:
 def _build_way(plan: MotionPlan) -> Iterator[r.Element]:
     yield r.Figures([_draw_way(plan, *plane) for plane in _PLANES])
     yield r.explain(
-        "Dashed: the straight line between both ends. What stands in the room is not known here: look before you run it."
+        "Dashed: the straight line between both ends. Obstacles in the room are not known here: look before you run it."
     )
     speed, step = plan.tool_speed, max(1, len(plan.t) // _POINTS)
     if speed is not None:

@@ -51,7 +51,7 @@ def _describe_verdict(found: LoopIdentification) -> r.Verdict:
     if share < GOOD_SHARE:
         return r.judge("good", "The simulation follows the robot from its commands alone.", BADGES)
     if share < POOR_SHARE:
-        return r.judge("care", "The simulation misses a good part of what the loop does.", BADGES)
+        return r.judge("care", "The simulation misses a good part of the loop's motion.", BADGES)
     return r.judge("poor", "The simulation is no better than the command itself.", BADGES)
 
 

@@ -154,7 +154,7 @@ def present_workspace(found: Study) -> r.Presentation:
         r.Chapter("space", "In space", lambda: _build_space(found), when=found.workspace.dimension == 3),
         r.Chapter("sections", "Cross-sections", lambda: _build_sections(found), r.On.DRAWN, when=bool(found.sections)),
         r.Chapter("reasons", "Why not elsewhere", lambda: [_build_reasons(found)], r.On.ALL),
-        r.Chapter("catalogue", "As a catalogue would say it", lambda: _build_catalogue(found), r.On.PRINTED),
+        r.Chapter("catalogue", "As in a catalogue", lambda: _build_catalogue(found), r.On.PRINTED),
         r.Chapter("maps", "Maps", lambda: _build_maps(found), when=bool(found.sections and found.maps)),
     ]
     return r.Presentation(
@@ -258,7 +258,7 @@ def _build_catalogue(found: Study) -> Iterator[r.Element]:
     areas = [f"{r.replace_minus_signs(s.name)}: {r.format_number(s.area, 3)} m²" for s in found.sections]
     if areas:
         left.append(r.Text(f"Cross-sections {r.format_list(areas)}.", on=r.On.TERMINAL))
-    yield r.Beside(left, [*right, r.Text("What a pose must satisfy", "heading"), demands], "two")
+    yield r.Beside(left, [*right, r.Text("Conditions of a pose", "heading"), demands], "two")
 
 
 def _build_extremes(found: Study) -> Iterator[r.Element]:
