@@ -103,7 +103,7 @@ def _apply_to_joints(reading: Reading, plain: Mapping[str, Source], joints: list
 
 
 def _carry(plain: Mapping[str, Source], names: Sequence[str], values: np.ndarray) -> dict[str, Source]:
-    """Return the columns of names that are there, from what a reading makes of zero and of unit vectors (n + 1, n)."""
+    """Return the columns of names that are there, from the images of zero and of unit vectors under a reading (n + 1, n)."""
     if not set(names) <= set(plain):
         return {}
     out, offset, slope = {}, values[0], (values[1:] - values[0]).T
@@ -115,7 +115,7 @@ def _carry(plain: Mapping[str, Source], names: Sequence[str], values: np.ndarray
 
 
 def _list_speeds(reading: Reading, columns: Container[str], joints: list[str]) -> dict[str, Source]:
-    """Return the columns of the joints' speeds after a reading, none where they are not there: they have no offset."""
+    """Return the columns of the joints' speeds after a reading, empty if the file has no speeds: they have no offset."""
     speeds = [name.replace("q_", "v_", 1) for name in joints]
     if not all(name in columns for name in speeds):
         return {}

@@ -33,10 +33,10 @@ class PoseReading:
     Attributes:
         cause: As results name it.
         joints: Joints that it is about.
-        words: What the file does, as a clause.
+        words: Clause that describes the file.
         apply: Returns the poses as they are meant.
         unit: Metres of the unit of the file's positions.
-        acts_on: What it changes: `joints`, `positions`, `orientations`, or `poses` (positions by orientations).
+        acts_on: Part that it changes: `joints`, `positions`, `orientations`, or `poses` (positions by orientations).
     """
 
     cause: str
@@ -88,7 +88,7 @@ def list_readings(poses: PoseSet, joints: Sequence[str], units: Sequence[str], *
     Args:
         poses: Measured poses.
         joints: Actuated joints.
-        units: Of their positions, `rad` or `m` each.
+        units: Units of their positions, `rad` or `m` each.
         turns: Whether the robot's tool can turn, so that measured orientations count.
     """
     oriented = turns and poses.rotation is not None

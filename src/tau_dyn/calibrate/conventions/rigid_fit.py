@@ -47,11 +47,11 @@ class Misfit(NamedTuple):
     """Trimmed rms errors of a robot with nominal dimensions.
 
     Attributes:
-        position: Of the measured positions [m].
-        rotation: Of the orientations [rad], None where none are compared.
+        position: Error of the measured positions [m].
+        rotation: Error of the orientations [rad], None if orientations are not compared.
         spread: Rms distance of the robot's own tool positions from their middle [m].
-        distances: Of every pose that was compared (N,) [m].
-        angles: Of its orientation (N,) [rad], None where none are compared.
+        distances: Error of every pose that was compared (N,) [m].
+        angles: Error of its orientation (N,) [rad], None if orientations are not compared.
         unit: Metres of the unit in which the file has positions: likelihoods are of the numbers as written.
     """
 
@@ -127,7 +127,10 @@ def _measure_group(poses: PoseSet, nominal: Poses, turns: bool) -> tuple[np.ndar
 
 
 def _place_without_turns(poses: PoseSet, nominal: Poses, used: np.ndarray) -> tuple[np.ndarray, None]:
-    """Return distances (N,) for a tool that keeps its orientation; where the target is on it the device's place makes up for."""
+    """Return distances (N,) for a tool that keeps its orientation.
+
+    The device's place compensates for the target's place on the tool.
+    """
     frame = align(poses.position[used], nominal.position[used])
     return np.linalg.norm(poses.position - frame.translation - nominal.position @ frame.rotation.T, axis=1), None
 

@@ -1,8 +1,8 @@
 """The reading of a pose file with which the robot file fits: found without parameters, then applied and named.
 
-The robot file's dimensions, with device and targets placed in closed form, are compared at every reading of one cause; where
-none is enough, the best are combined. `evidence/readings.py` decides whether one is taken; the robot file then misses the poses
-by no more than a machine is built off its drawing.
+The robot file's dimensions, with device and targets placed in closed form, are compared at every reading of one cause; if no
+single reading is enough, the best are combined. `evidence/readings.py` decides whether one is taken; the robot file then misses
+the poses by no more than a machine is built off its drawing.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ class FoundReading:
     """How a file is meant.
 
     Attributes:
-        reading: Changes, in order; none where the file is read as it is written.
-        alike: Readings that such poses do not tell from it.
+        reading: Changes, in order; empty if the file is read as it is written.
+        alike: Readings that such poses cannot distinguish from it.
         written: Misfit as the file is written.
         meant: Misfit as it is meant.
         n_tried: Readings that were compared.
@@ -79,7 +79,7 @@ class FoundReading:
         return apply_reading_alike(self.reading, poses)
 
     def compute_gain(self, seed: int = 0) -> Gain:
-        """Return what it gains, with the robot file's dimensions; the interval is by bootstrap over poses."""
+        """Return the gain of the reading, with the robot file's dimensions; the interval is by bootstrap over poses."""
         p_value = float(np.exp(-self.meant.n_numbers * np.log(self.written.value / max(self.meant.value, 1e-300))))
         rng = np.random.default_rng(seed)
         if not np.isfinite(self.written.value):
@@ -169,9 +169,9 @@ class _Search:
             self.placed[key] = Predicted(at, found.ok[part], found.reason[part])
 
     def fit(self, reading: Reading) -> ReadingFit | None:
-        """Return the misfit of a reading as `evidence` compares it; None where the robot is not placed or stands still."""
+        """Return the misfit of a reading as `evidence` compares it; None if the robot is not placed or does not move."""
         found = self.measure(reading)
-        if not (np.isfinite(found.position) and found.spread > 0):  # a robot that stands still explains no pose
+        if not (np.isfinite(found.position) and found.spread > 0):  # a robot that does not move explains no pose
             return None
         size = self.poses.spread if found.rotation is None else np.sqrt(self.poses.spread * _ALIKE_RAD)
         log_p = found.n_numbers * float(np.log(size / max(found.value, 1e-300)))
@@ -179,7 +179,7 @@ class _Search:
         return ReadingFit(log_p, log_p, power, 0.0, found.distances[:, None])
 
     def compute_log_p(self, reading: Reading) -> float:
-        """Return the log-likelihood of a reading [nats]; a robot that explains nothing has 0."""
+        """Return the log-likelihood of a reading [nats]; a robot that explains no part of the poses has 0."""
         fit = self.fit(reading)
         return 0.0 if fit is None else fit.log_p
 
@@ -204,7 +204,7 @@ class _Search:
 
 
 def _get_key(reading: Reading) -> frozenset[int]:
-    """Return what tells a reading from others, whatever the order of its changes."""
+    """Return the key that identifies a reading, whatever the order of its changes."""
     return frozenset(id(change) for change in reading)
 
 

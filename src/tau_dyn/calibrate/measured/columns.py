@@ -79,7 +79,7 @@ def name_pose_columns(table: Table, joints: Sequence[str], passive: Sequence[str
 
 
 def _find_by(pattern: re.Pattern[str], letter: int) -> Callable[[str, dict[str, np.ndarray]], str]:
-    """Return what finds the one column whose name fits a pattern with the letter of our name."""
+    """Return a function that finds the one column whose name fits a pattern with the letter of our name."""
 
     def find(name: str, cells: dict[str, np.ndarray]) -> str:
         hits = [c for c in cells if (m := pattern.match(_strip_unit(c))) and m[1] == name[letter]]
@@ -121,7 +121,7 @@ def _strip_unit(column: str) -> str:
 
 
 def get_unit_factor(column: str) -> float:
-    """Return what brings a column to SI units by the end of its name."""
+    """Return the factor that converts a column to SI units, from the end of its name."""
     found = _UNIT_END.search(column.strip().lower())
     return _UNIT_FACTORS[found[1]] if found else 1.0
 

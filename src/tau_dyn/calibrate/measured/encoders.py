@@ -1,7 +1,7 @@
-r"""Encoders of passive joints in loops: rows that measure a joint's position beside, or instead of, the tool.
+r"""Encoders of passive joints in loops: rows that measure a joint's position in addition to, or instead of, the tool.
 
-Of an angle the arc `r (psi + zero)` counts, with `r` the distance at which its joint moves the tool, so that errors of encoders
-and of the tool compare. The zero of each encoder is unknown. Angles alone show no lengths, only their ratios. Reference:
+An angle counts as the arc `r (psi + zero)`, with `r` the distance at which its joint moves the tool, so that errors of encoders
+and of the tool are comparable. The zero of each encoder is unknown. Angles alone show no lengths, only their ratios. Reference:
 Hollerbach, Khalil & Gautier 2016, 6.2 (self-calibration by redundant sensors).
 """
 
@@ -118,7 +118,7 @@ class PassiveEncoders:
         return cls({name: "travel" if of[name].slides else "angle" for name in joints}, max(radius, _MIN_RADIUS))
 
     def measure(self, joint: str, values: np.ndarray, rows: PoseSet) -> PoseSet:
-        """Return what the encoder of a joint read.
+        """Return the readings of a joint's encoder.
 
         Args:
             joint: Its name.
@@ -176,7 +176,7 @@ def _find_middle(off: np.ndarray, turn: float) -> float:
 
 
 def _measure_scatter(off: np.ndarray, turn: float) -> float:
-    """Return the median distance of differences (n,) from their middle, whole turns apart."""
+    """Return the median distance of differences (n,) from their middle, modulo whole turns."""
     if not np.isfinite(turn):
         return float(np.median(np.abs(off - np.median(off))))
     off = off - _find_middle(off, turn)

@@ -1,4 +1,4 @@
-"""Measured poses: actuated positions and what a device or a fixture tells of the tool there, in its own frame."""
+"""Measured poses: actuated positions and the measurement of the tool there by a device or a fixture, in its own frame."""
 
 from __future__ import annotations
 
@@ -36,31 +36,31 @@ class PoseSet(Brief):
 
     Attributes:
         q: Actuated positions (N, na) [m or rad].
-        position: Of the tool or target in the device's frame (N, 3) [m]; a distance, or an encoder's arc or travel, stands in
-            the first coordinate, and what touches is at zero.
-        rotation: Rotation matrices (N, 3, 3), None where only positions were measured; of an encoder the identity.
-        names: What each pose is called in messages (N,), such as `poses.csv, line 12`.
+        position: Position of the tool or target in the device's frame (N, 3) [m]; a distance, or an encoder's arc or travel, is
+            in the first coordinate, and a touching target is at zero.
+        rotation: Rotation matrices (N, 3, 3), None if only positions were measured; the identity for an encoder.
+        names: Name of each pose in messages (N,), such as `poses.csv, line 12`.
         campaign: Which measuring campaign each pose belongs to (N,), from 0; frames may have moved in between.
         campaigns: Names of the campaigns.
         target: Which target on the tool each pose was measured at (N,), from 0.
         targets: Names of the targets.
         device: Which device or fixture each pose was measured by (N,), from 0.
-        devices: Names of the devices and fixtures; of an encoder that of its joint.
-        kinds: What each of them tells, a name of `KINDS`.
+        devices: Names of the devices and fixtures; an encoder has the name of its joint.
+        kinds: Kind of measurement of each device or fixture, a name of `KINDS`.
         device_errors: Standard error of each of them over that of all (devices,); ones unless estimated.
-        approach: From which side each actuated joint came (N, na): +1, -1, or 0 where nobody knows.
-        speed: Of each actuated joint at the pose (N, na) [m/s or rad/s]; zeros where it stood still or nobody knows.
+        approach: Side from which each actuated joint came (N, na): +1, -1, or 0 if unknown.
+        speed: Speed of each actuated joint at the pose (N, na) [m/s or rad/s]; zero if it did not move or the speed is unknown.
         acceleration: The same (N, na) [m/s^2 or rad/s^2].
         jerk: The same (N, na) [m/s^3 or rad/s^3]; known with the acceleration, of a recording.
         loads: Weight that hangs at the tool [kg], force [N] and moment [N m] on it in the robot's base axes (N, 7).
-        position_stderr: Standard errors of the measured coordinates (N, 3) [m], None where none are stated.
-        rotation_stderr: Of the measured orientation about each axis (N,) [rad], None where none are stated.
-        angles: Three numbers of the orientation as written (N, 3), which `rotation` takes for rotation vectors; None where four
-            numbers or none are given.
+        position_stderr: Standard errors of the measured coordinates (N, 3) [m], None if not stated.
+        rotation_stderr: Standard error of the measured orientation about each axis (N,) [rad], None if not stated.
+        angles: Three numbers of the orientation as written (N, 3), which `rotation` takes for rotation vectors; None if four
+            numbers or no orientations are given.
         arc_radius: Radius at which angles of passive joints count as arcs [m].
         source: File, for messages.
-        sha256: Hash of the file, '' where there is none.
-        warnings: What was doubtful.
+        sha256: Hash of the file, '' if there is no file.
+        warnings: Warnings about doubtful data.
     """
 
     q: np.ndarray
@@ -89,7 +89,7 @@ class PoseSet(Brief):
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Fill in what was not given and refuse what does not fit together."""
+        """Fill in missing fields and refuse fields that do not fit together."""
         n = len(self.q)
         if np.ndim(self.q) != 2 or np.shape(self.position) != (n, 3):
             raise InputError(
@@ -158,7 +158,7 @@ class PoseSet(Brief):
 
     @property
     def shows_frames(self) -> bool:
-        """Whether one device measures poses or positions, in a frame of its own that they show; on the tool or beside it."""
+        """Whether one device measures poses or positions, in a frame of its own that they show; on the tool or off it."""
         return set(self.kinds) <= {"pose", "hand_eye"} and len(self.devices) == 1
 
     @property
@@ -177,10 +177,10 @@ class PoseSet(Brief):
         return np.array([kind in ENCODERS for kind in self.kinds])[self.device]
 
     def hides_size(self, position_units: Sequence[str]) -> bool:
-        """Tell whether nothing measured shows the robot's size: touches, or angles between drives that turn.
+        """Return whether no measurement shows the robot's size: touches, or angles between drives that turn.
 
         Args:
-            position_units: Of the actuated joints, `m` or `rad` each.
+            position_units: Units of the actuated joints, `m` or `rad` each.
         """
         turns = set(position_units) == {"rad"}
         sizeless = [kind in TOUCHES or (kind == "angle" and turns) for kind in self.kinds]
@@ -188,7 +188,7 @@ class PoseSet(Brief):
 
     @property
     def length_factors(self) -> np.ndarray:
-        """What a unit of the device's length is in each measurement (N,) [m]: the radius of an angle's arc, or 1."""
+        """Effect of a unit of the device's length in each measurement (N,) [m]: the radius of an angle's arc, or 1."""
         return np.array([self.arc_radius if kind == "angle" else 1.0 for kind in self.kinds])[self.device]
 
     def count_numbers(self, m: int) -> np.ndarray:
@@ -201,7 +201,7 @@ class PoseSet(Brief):
         return np.array([kind == "hand_eye" for kind in self.kinds])[self.device]
 
     def as_poses(self) -> PoseSet:
-        """Return the set with what cameras on the tool saw as poses of the target in a frame that stands still."""
+        """Return the set with the observations of cameras on the tool as poses of the target in a stationary frame."""
         if not self.from_tool.any() or self.rotation is None:
             return self
         position, rotation = self._invert(Poses(self.position, self.rotation))
@@ -216,11 +216,11 @@ class PoseSet(Brief):
         return replace(known, position=position, rotation=rotation)
 
     def expect(self, seen: Poses) -> Poses:
-        """Return what is measured of the target's predicted poses in the frames of the devices (N)."""
+        """Return the predicted measurements from the target's predicted poses in the frames of the devices (N)."""
         return Poses(*self._invert(seen)) if self.from_tool.any() else seen
 
     def compute_position_residuals(self, seen: Poses, lengths: np.ndarray) -> np.ndarray:
-        """Return measured minus predicted positions (N, 3) [m], along what was measured.
+        """Return measured minus predicted positions (N, 3) [m], along the measured direction.
 
         Args:
             seen: The target's predicted poses in the frames of the devices (N).
@@ -230,7 +230,7 @@ class PoseSet(Brief):
         return compute_position_residuals(self.kinds, self.device, self.position, seen.position, lengths)
 
     def project_columns(self, seen: Poses, columns: np.ndarray) -> np.ndarray:
-        """Return derivatives (N, 6, p) of what was measured from those of the target's pose, predicted at `seen` (N)."""
+        """Return derivatives (N, 6, p) of the measurements from those of the target's pose, predicted at `seen` (N)."""
         if self.from_tool.any():
             columns = np.where(self.from_tool[:, None, None], invert_columns(seen, columns), columns)
         return project_columns(self.kinds, self.device, seen.position, columns)
@@ -286,7 +286,7 @@ class PoseSet(Brief):
         return out
 
     def split_encoders(self) -> tuple[PoseSet | None, PoseSet]:
-        """Return what was measured of the tool, None where nothing was, and what encoders of passive joints measured."""
+        """Return the measurements of the tool, None if there are none, and those of encoders of passive joints."""
         rows = self.of_encoders
         if rows.all():
             return None, self
@@ -377,7 +377,7 @@ def _describe_new_places(names: Sequence[str], source: str) -> str:
 def _renumber(
     holdout: PoseSet, kind: str, number: np.ndarray, names: tuple[str, ...], known: tuple[str, ...]
 ) -> np.ndarray:
-    """Return numbers (N,) of names as they stand among the known ones; one name alone is the same one under any name."""
+    """Return the index (N,) of each name among the known ones; a single name matches a single known one whatever it is called."""
     if len(known) == 1 and len(names) == 1:
         return number
     for name in names:
@@ -451,7 +451,7 @@ def _join_words(parts: Sequence[tuple[np.ndarray, tuple[str, ...]]]) -> tuple[np
 
 
 def _join_stated(sets: Sequence[PoseSet], name: str) -> np.ndarray | None:
-    """Return numbers that files state of each row; None unless all do. Encoders state none, and count as the median."""
+    """Return numbers that files state for each row; None unless all do. Encoders count as the median."""
     parts = [getattr(one, name) for one in sets]
     known = [part for part in parts if part is not None]
     if not known or any(part is None and not one.of_encoders.all() for part, one in zip(parts, sets, strict=True)):
