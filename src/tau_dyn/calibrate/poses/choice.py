@@ -26,7 +26,7 @@ from tau_dyn.message_codes import CodedWarning
 
 
 class CalibrationPrediction(NamedTuple):
-    """What a set of poses will give.
+    """Predicted accuracy of a calibration with a set of poses.
 
     Attributes:
         poses: Number of poses.
@@ -35,7 +35,7 @@ class CalibrationPrediction(NamedTuple):
         worst: The same root mean square at the worst place [m].
         held_out: Root mean square of measured minus predicted at other poses [m]: `rms` and the device's noise.
         turn: Root mean square orientation error [rad], nan where the tool does not turn.
-        stderr: Standard errors of the parameters that can be told (r,), each in its unit.
+        stderr: Standard errors of the identifiable parameters (r,), each in its unit.
     """
 
     poses: int
@@ -57,11 +57,11 @@ class CalibrationPrediction(NamedTuple):
 
 
 def predict(design: PoseDesign, index: np.ndarray) -> CalibrationPrediction:
-    """Return what a fit to some of the candidates will give.
+    """Return the predicted accuracy of a fit to some of the candidates.
 
     Args:
         design: Candidates.
-        index: Those that are measured (n,).
+        index: Indices of the measured candidates (n,).
     """
     p = design.covariance(index)
     weight = np.einsum("nir,nis->rs", design.places, design.places) / len(design.places)
@@ -98,7 +98,7 @@ _UNKNOWN = 1.0
 def compute_min_poses(design: PoseDesign) -> int:
     """Return the fewest poses with which the model can be fitted and its noise judged."""
     rank = design.found.rank
-    if rank >= design.n * design.per_pose:  # the candidates are too few to show what more of them would tell
+    if rank >= design.n * design.per_pose:  # the candidates are too few to show the information of more of them
         rank = len(design.found.names)
     return count_required_poses(rank, design.per_pose)
 
@@ -149,12 +149,12 @@ class PoseChoice:
     """Chosen poses.
 
     Attributes:
-        design: All candidates and what they tell.
-        index: Which were chosen (n,), ascending.
-        criterion: By what.
+        design: All candidates and their information.
+        index: Indices of the chosen ones (n,), ascending.
+        criterion: Name of the criterion.
         trace: The criterion's value of the set, pose by pose as picked, then after the exchange.
         curve: Predicted accuracy against the number of poses, as picked (before the exchange).
-        predicted: With the chosen poses.
+        predicted: Predicted accuracy with the chosen poses.
         at_random: Predicted root mean square [m] with as many poses drawn at random (median of several draws).
         warnings: Sentences.
     """
@@ -225,21 +225,21 @@ def choose_poses(
     seed: int = 0,
     **known: Any,
 ) -> PoseChoice:
-    """Choose poses for a calibration and predict what they will give.
+    """Choose poses for a calibration and predict their accuracy.
 
     Args:
         geometry: Mechanism at its nominal parameters; those that are not `free` stay.
-        candidates: What may be measured, as in `build_design`.
-        n: How many, or `auto`: until twice as many would hardly help.
+        candidates: Poses that may be measured, as in `build_design`.
+        n: Number of poses, or `auto`: until twice as many would hardly help.
         criterion: `tool` (default), `worst`, `determinant`, `condition`, `smallest` or `amplification`.
         noise: Standard deviations or covariances, as in `build_design`.
         gain: With `auto`, share of the held-out error that twice as many poses must be worth.
         target: With `auto`, accuracy [m] at which to stop instead.
-        seed: Of the random start that competes with the picked one.
-        **known: Of `build_design`: frames, workspace, fix, free, device, tool, weighted.
+        seed: Seed of the random start that competes with the picked one.
+        **known: Arguments of `build_design`: frames, workspace, fix, free, device, tool, weighted.
 
     Raises:
-        InputError: Too few candidates or poses (says how many), or numbers that are none.
+        InputError: Too few candidates or poses (with the number needed), or values that are not finite numbers.
         UnknownName: No such criterion.
     """
     design = build_design(geometry, candidates, noise, **known)
@@ -288,7 +288,7 @@ def require_numbers(
     """Refuse numbers with which no poses can be chosen; arguments as in `choose_poses`.
 
     Raises:
-        InputError: Too few candidates or poses, or a gain or an accuracy that is none.
+        InputError: Too few candidates or poses, or a gain or an accuracy out of range.
     """
     least = compute_min_poses(design)
     if design.n < least:
