@@ -286,7 +286,7 @@ class PoseSet(Brief):
         return out
 
     def split_encoders(self) -> tuple[PoseSet | None, PoseSet]:
-        """Return the measurements of the tool, None if there are none, and those of encoders of passive joints."""
+        """Return the measurements of the tool (None if it was not measured) and those of encoders of passive joints."""
         rows = self.of_encoders
         if rows.all():
             return None, self

@@ -14,8 +14,8 @@ Files have lengths in m, angles in degrees, places in the robot's base frame; or
     limits: {distance: [0.5, 6], incidence: 60, margin: 5}
     choose: {position: [[3, 7], [-2, 1], [0.2, 2]]}
 
-`choose` lists what the program may choose: a place within ranges of x, y and z, and the direction; or `choose: direction` alone.
-With `mount: tool` the camera is on the tool, its place in the tool frame, and the pattern is stationary in the base frame.
+`choose` names the values that are optimised: a place within ranges of x, y and z, and the direction; or `choose: direction`
+alone. With `mount: tool` the camera is on the tool, its place in the tool frame, and the pattern is stationary in the base frame.
 
     tracker: {position: [5, -0.6, 1], noise: 10e-6, noise_per_metre: 5e-6}
     reflector: {position: [0, 0, 0], normal: [1, 0, 0], orientation_noise: 50e-6}
@@ -92,7 +92,7 @@ class Camera(StandingDevice):
         incidence: Largest angle between the pattern's normal and the line to the camera [rad].
         margin: Least distance of corners from the picture's edge [px].
         steady: Whether the pattern keeps its orientation, so that positions alone are measured.
-        name: For messages.
+        name: Name in messages.
         up: Direction that points upwards in the picture (3,), in the robot's base frame.
         places: Lowest and highest x, y, z of its place (3, 2) [m] where place and direction are to be chosen, None if the
             camera's place is given; with equal ones only the direction is chosen.

@@ -1,9 +1,9 @@
 r"""Distances, pins in holes, touched planes and balls in the place of a device: read from YAML, reached, and simulated.
 
-A distance (wire, ball bar, interferometer) is measured wherever nothing stands between. A touch is a joint position at which the
-target is on the fixture: Newton's method solves `|p(q)| = radius` of a ball, `z(q) = 0` of a plane, `p(q) = 0` of a hole, by the
-shortest step of the joints. The robot approaches from outwards, and only the last move may come near the obstacle to which the
-fixture belongs.
+A distance (wire, ball bar, interferometer) is measured wherever no obstacle is in between. A touch is a joint position at which
+the target is on the fixture: Newton's method solves `|p(q)| = radius` of a ball, `z(q) = 0` of a plane, `p(q) = 0` of a hole, by
+the shortest step of the joints. The robot approaches from outwards, and only the last move may come near the obstacle to which
+the fixture belongs.
 
 Files have lengths in m, places about right in the robot's base frame, normals out of plane and hole, targets in the tool frame:
 
@@ -15,7 +15,7 @@ Files have lengths in m, places about right in the robot's base frame, normals o
       - {kind: sphere, name: ball, position: [0.4, -0.3, 0.3], radius: 0.0127, noise: 20e-6, target: [0.02, 0, 0.1]}
       - {kind: encoder, name: elbow, noise: 50e-6}
 
-An encoder of a passive joint is read wherever the robot stands; its noise is in rad, or m of a slide.
+An encoder of a passive joint is read at any pose of the robot; its noise is in rad, or in m for a slide.
 """
 
 from __future__ import annotations
@@ -65,16 +65,16 @@ _MIN_RETRACT_M = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Fixture:
-    """A device that tells a distance, or a thing that the target touches; a `MeasuringDevice`.
+    """A device that measures a distance, or an object that the target touches; a `MeasuringDevice`.
 
     Attributes:
         kind: A name of `PLANNED`, or `angle` or `travel` of an encoder whose joint is known.
-        label: What the user calls it; of an encoder its joint.
-        pose: It in the robot's base frame, z out of a plane or a hole.
+        label: Name given by the user; for an encoder the name of its joint.
+        pose: Its pose in the robot's base frame, z out of a plane or a hole.
         on_tool: The target in the tool frame.
-        noise: Standard deviation of the distance, or of each coordinate in which the target is not where it touches [m]; of an
-            encoder [rad or m], or of its arc [m] where its joint is known.
-        radius: Of a ball [m].
+        noise: Standard deviation of the distance, or of each coordinate in which a touching target deviates [m]; for an encoder
+            [rad or m], or of its arc [m] if its joint is known.
+        radius: Radius of a ball [m].
         obstacle: The obstacle to which it belongs, which its touches may come near.
     """
 
@@ -98,7 +98,7 @@ class Fixture:
 
     @property
     def turned(self) -> bool:
-        """It tells no orientation."""
+        """Whether it measures orientations: no."""
         return False
 
     def find_places(self, tool: Poses) -> np.ndarray | None:
@@ -279,15 +279,15 @@ def find_touches(
     """Return joint positions at which the nominal robot touches a fixture and may do so, from those in reach.
 
     Args:
-        fixture: What is touched.
+        fixture: The fixture to be touched.
         geometry: The mechanism at its nominal parameters.
-        reach: Where the search starts.
+        reach: Poses from which the search starts.
         check: Judges the place from which the fixture is approached, and the tour.
         demands: What touches themselves must satisfy, without the obstacle to which the fixture belongs.
         safety: Margins of the travel, and how far outwards the approach starts.
 
     Raises:
-        CannotAnswer: The fixture cannot be touched; says mostly why.
+        CannotAnswer: The fixture cannot be touched; the message names the most frequent reason.
     """
     theta, frames = geometry.parameters.values, fixture.frames
     start = PoseSet(reach.q, np.zeros((reach.n, 3)), devices=(fixture.name,), kinds=(fixture.kind,))
@@ -328,13 +328,13 @@ def find_touches(
 
 
 def _is_behind(fixture: Fixture, tool: np.ndarray) -> np.ndarray:
-    """Tell where the tool frame (N, 3) [m] lies on the far side of a plane, inside a ball, or under a hole."""
+    """Return whether the tool frame (N, 3) [m] is on the far side of a plane, inside a ball, or under a hole."""
     at = tool @ fixture.pose.rotation - fixture.pose.translation @ fixture.pose.rotation
     return (np.linalg.norm(at, axis=1) - fixture.radius if fixture.kind == "sphere" else at[:, 2]) < -_BEHIND_M
 
 
 def read_fixtures(path: str | Path) -> FixtureSet:
-    """Read devices that tell distances, fixtures that the target touches, and encoders of passive joints.
+    """Read devices that measure distances, fixtures that the target touches, and encoders of passive joints.
 
     Raises:
         InputError: Something is missing or no number; the message names the place.

@@ -33,13 +33,13 @@ _N_TRIALS = 20  # simulated calibrations; their rms error is known to 16 %
 
 @dataclass(frozen=True, eq=False)
 class MonteCarloCalibration:
-    """What simulated calibrations gave.
+    """Results of simulated calibrations.
 
     Attributes:
         before: Root mean square error of the nominal robots, frames fitted, at other places (runs,) [m].
         after: The same after calibration (runs,) [m].
         predicted: Root mean square error predicted [m].
-        failures: What went wrong in runs that gave nothing.
+        failures: Reasons of the runs that failed.
         restarted: Runs that found fixtures only from their planned places.
     """
 
@@ -88,7 +88,7 @@ def draw_robot(geometry: Geometry, q: np.ndarray, scales: np.ndarray, rng: np.ra
 def simulate_measurement(
     device: MeasuringDevice, geometry: Geometry, theta: np.ndarray, q: np.ndarray, rng: np.random.Generator
 ) -> PoseSet:
-    """Return what a device measures of a robot with parameters `theta` at positions (N, na)."""
+    """Return the simulated measurements of a robot with parameters `theta` at positions (N, na)."""
     tool = geometry.forward(theta, q).poses
     found = device.measure(tool, rng)
     rotation = found.rotation if device.turned else None
@@ -110,13 +110,13 @@ def simulate_calibrations(
 
     Args:
         choice: The poses.
-        device: What measures them.
-        runs: How many robots.
-        seed: Of the robots and the noise.
+        device: Device that measures them.
+        runs: Number of robots.
+        seed: Seed of the robots and the noise.
         fix: Names or patterns that stay, as in the choice.
         free: Names or patterns freed, as in the choice.
         known: `device`, `tool`: frames that are not fitted.
-        progress: Told how far it is.
+        progress: Called with the progress.
 
     Raises:
         InputError: No runs.
@@ -164,7 +164,7 @@ def compute_tool_error(fitted: GeometryFit, design: PoseDesign, frames: DeviceFr
     """Return the root mean square error [m] of a fit over the workspace of a robot with parameters `theta` (p,) and true frames.
 
     Positions are compared in the frame that the device shows; with distances and touches after the motion of the whole robot that
-    fits best, and after the change of its size where nothing but touches is measured.
+    fits best, and after the change of its size if only touches are measured.
     """
     true = design.geometry.forward(theta, design.workspace).poses
     if design.poses.shows_frames:
@@ -182,7 +182,7 @@ def compute_tool_error(fitted: GeometryFit, design: PoseDesign, frames: DeviceFr
 
 
 def require_accuracy(choice: PoseChoice, rehearsal: MonteCarloCalibration, required: float | None = None) -> None:
-    """Let a campaign pass that will be accurate enough.
+    """Refuse a campaign that will not be accurate enough.
 
     Args:
         choice: The poses.
@@ -190,7 +190,7 @@ def require_accuracy(choice: PoseChoice, rehearsal: MonteCarloCalibration, requi
         required: Accuracy asked for, root mean square over the workspace [m].
 
     Raises:
-        CannotAnswer: It will not; says why and what would help.
+        CannotAnswer: It will not; the message names the reason and a remedy.
     """
     made, design = choice.predicted, choice.design
     if rehearsal.failures and len(rehearsal.failures) >= max(1, len(rehearsal.after)):
@@ -237,7 +237,7 @@ def require_accuracy(choice: PoseChoice, rehearsal: MonteCarloCalibration, requi
 
 
 def _remedy(choice: PoseChoice, required: float) -> str:
-    """Return what would bring the accuracy asked for."""
+    """Return a remedy that would bring the accuracy asked for."""
     made, design = choice.predicted, choice.design
     factor = made.rms / required
     every = predict(design, np.arange(design.n)).rms

@@ -1,12 +1,13 @@
-"""Where a camera should stand and look: the place with the smallest predicted error of the calibrated robot (thesis 5.5, 5.6).
+"""Place and direction of a camera with the smallest predicted error of the calibrated robot (thesis 5.5, 5.6).
 
 The derivatives of all poses in reach are computed once. A camera at another place measures the same numbers in other axes, with
 another covariance `S_k`, of the poses that it sees whole, within angle and distance, past obstacles and robot. Its value is the
-predicted error `tr(P L)` of the poses that `choose_from` takes of these, over the whole workspace: what it does not see counts by
-extrapolation, with the criterion's prior of ten scales where a direction is not seen at all. Places are spread by a Sobol
-sequence, each looks at what faces it, and the best are improved by random steps that become smaller. The thesis' rules are here
-for comparison: the largest share of the workspace in view, and the largest plate in the picture with all of it in view. Sight of
-several places is Jorgensen et al. 2018, simulation-based optimisation of camera placement; the criterion is V-optimality.
+predicted error `tr(P L)` of the poses that `choose_from` takes of these, over the whole workspace: parts that it does not see
+count by extrapolation, with the criterion's prior of ten scales where a direction is not seen at all. Places are spread by a
+Sobol sequence, each looks at targets that face it, and the best are improved by random steps that become smaller. The thesis'
+rules are here for comparison: the largest share of the workspace in view, and the largest plate in the picture with all of it in
+view. Sight of several places is Jorgensen et al. 2018, simulation-based optimisation of camera placement; the criterion is
+V-optimality.
 """
 
 from __future__ import annotations
@@ -50,13 +51,13 @@ _DIGITS = 3  # places and directions are rounded to millimetres, as a file state
 
 
 class CameraView(NamedTuple):
-    """What a camera sees of the poses in reach.
+    """The part of the poses in reach that a camera sees.
 
     Attributes:
         seen: Number of poses in sight.
         share: Their share of all in reach.
-        plate: Share of the picture that the plate fills, the median of the poses in sight; nan where there are none.
-        rms: Predicted root mean square error of the tool over the workspace [m]; nan where too few poses are in sight.
+        plate: Share of the picture that the plate fills, the median of the poses in sight; nan if no pose is in sight.
+        rms: Predicted root mean square error of the tool over the workspace [m]; nan if too few poses are in sight.
     """
 
     seen: int
@@ -72,14 +73,14 @@ class CameraView(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CameraPlacement:
-    """Where a camera should stand.
+    """Chosen place of a camera.
 
     Attributes:
         camera: The camera there.
-        look_at: The point (3,) [m] that it looks at, None where it stays as given.
-        given: What the camera sees as the file has it.
-        chosen: What it sees from the chosen place.
-        n: Poses that the predicted errors are of.
+        look_at: The point (3,) [m] that it looks at, None if it stays as given.
+        given: View of the camera as the file has it.
+        chosen: View from the chosen place.
+        n: Number of poses that the predicted errors refer to.
         tried: Places and directions tried.
         turned_only: Whether the place was given and the direction alone chosen.
     """
@@ -94,7 +95,7 @@ class CameraPlacement:
 
     @property
     def stays(self) -> bool:
-        """Whether the camera stays where it stands, turned or not."""
+        """Whether the camera stays at its place, turned or not."""
         return self.turned_only or self.look_at is None
 
     def build_obstacle(self) -> Obstacle:
@@ -124,14 +125,14 @@ class CameraPlacement:
 
 @dataclass(frozen=True, eq=False)
 class CameraSite:
-    """What decides about a camera's place.
+    """Data that determine a camera's place.
 
     Attributes:
         camera: As given, with the ranges of its place.
         reach: Poses of the robot.
         around: Obstacles.
         machine: The robot, whose own solids may hide the target or meet the camera; None leaves them out.
-        design: What all poses in reach tell the camera as given.
+        design: Information of all poses in reach, measured by the camera as given.
         bones: Both ends (2, K, 3) [m] of lines from joint to joint at these poses.
     """
 
@@ -156,7 +157,7 @@ class CameraSite:
         return np.flatnonzero(why == SEEN), dict(Counter(why[why != SEEN].tolist()))
 
     def build_design(self, camera: Camera, seen: np.ndarray) -> PoseDesign:
-        """Return what the poses in sight (n,) tell a camera at another place, in the given camera's axes."""
+        """Return the information of the poses in sight (n,) for a camera at another place, in the given camera's axes."""
         part = _take_poses(self.design, seen)
         turn = self.camera.pose.rotation.T @ camera.pose.rotation
         m = part.noise.shape[1]
@@ -164,7 +165,7 @@ class CameraSite:
         return replace(part, noise=both @ camera.covariance(part.tool)[:, :m, :m] @ both.T)
 
     def is_free(self, place: np.ndarray) -> bool:
-        """Return whether a camera may stand at a place (3,): outside obstacles, and the robot does not come near."""
+        """Return whether a place (3,) is free for a camera: outside obstacles, and the robot does not come near."""
         blocking = (o for o in self.around.obstacles if o.blocks == "robot")
         if any(o.distance(place[None])[0] < 0 for o in blocking):
             return False
@@ -273,15 +274,15 @@ def place_camera(
 
     Args:
         site: Camera, poses, obstacles.
-        n: Poses that will be measured; with `auto`, places are compared with three times the fewest.
-        goal: What is made best.
-        criterion: By which poses are chosen, as in `choose_poses`.
-        seed: Of the search.
-        progress: Told what is being done.
+        n: Number of poses that will be measured; with `auto`, places are compared with three times the fewest.
+        goal: Quantity to be optimised.
+        criterion: Criterion by which poses are chosen, as in `choose_poses`.
+        seed: Seed of the search.
+        progress: Called with a description of each step.
 
     Raises:
-        InputError: Nothing of the camera is to be chosen, or too few poses are asked for.
-        CannotAnswer: From no place are enough poses seen; says mostly why.
+        InputError: Neither place nor direction of the camera is to be chosen, or too few poses are asked for.
+        CannotAnswer: No place sees enough poses; the message names the most frequent reason.
     """
     if site.camera.places is None:
         raise InputError("missing_input", "nothing of the camera is to be chosen; state it with `choose` in its file")
@@ -309,7 +310,7 @@ def place_camera(
 
 
 def _stand(camera: Camera, place: np.ndarray, look_at: np.ndarray) -> Camera:
-    """Return a camera that stands at a place and looks at a point."""
+    """Return a camera that is at a place and looks at a point."""
     return replace(camera, pose=build_camera_frame(place, look_at, np.array(camera.up)))
 
 
@@ -323,7 +324,7 @@ def _rank(view: CameraView, goal: Goal) -> float:
 
 
 def _judge(site: CameraSite, camera: Camera, n: int, criterion: str) -> CameraView:
-    """Return what a camera sees, and the predicted error of `n` of these poses where there are so many."""
+    """Return a camera's view, with the predicted error of `n` of the poses in sight if there are so many."""
     seen, _ = site.find_seen(camera)
     rms = float("nan")
     if len(seen) >= n:
@@ -349,9 +350,9 @@ class _Search:
 
     Args:
         site: Camera, and the poses that are looked at.
-        n: Poses that a predicted error is of.
-        goal: What is made best.
-        rng: Of the places.
+        n: Number of poses that a predicted error refers to.
+        goal: Quantity to be optimised.
+        rng: Random generator of the places.
     """
 
     def __init__(self, site: CameraSite, n: int, goal: Goal, rng: np.random.Generator) -> None:
@@ -398,7 +399,7 @@ class _Search:
         return np.clip(np.round(place, _DIGITS), self.low, self.high)
 
     def holds(self, place: np.ndarray) -> bool:
-        """Return whether a place lies in the ranges."""
+        """Return whether a place is within the ranges."""
         return bool(((place >= self.low) & (place <= self.high)).all())
 
     def improve(self, value: float, stand: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -412,7 +413,7 @@ class _Search:
         return stand
 
     def value(self, place: np.ndarray, look_at: np.ndarray) -> float:
-        """Return how good a place and a direction are, minus infinity where a camera cannot stand so."""
+        """Return how good a place and a direction are, minus infinity if a camera cannot be placed so."""
         self.tried += 1
         if not self.is_free(place):
             self.reasons["in an obstacle or in the robot's way"] += self.site.reach.n
@@ -426,7 +427,7 @@ class _Search:
         return _rank(view, self.goal)
 
     def is_free(self, place: np.ndarray) -> bool:
-        """Return whether the camera may stand at a place; where it stands already it may."""
+        """Return whether a place is free for the camera; its given place counts as free if the place is fixed."""
         return self.fixed or self.site.is_free(place)
 
 

@@ -39,12 +39,12 @@ _DRAWN = 4
 
 @dataclass(frozen=True)
 class Safety:
-    """What candidates keep from everything, because the robot's dimensions are only about known.
+    """Safety margins of candidates, because the robot's dimensions are only approximately known.
 
     Attributes:
-        distance: From obstacles and the workspace's border [m].
-        angle: From the ball joints' limits [rad].
-        travel: From each end of a joint's travel, as a share of it.
+        distance: Distance from obstacles and the workspace's border [m].
+        angle: Distance from the ball joints' limits [rad].
+        travel: Distance from each end of a joint's travel, as a share of it.
     """
 
     distance: float = 0.05
@@ -115,15 +115,15 @@ def find_reachable(
 
     Args:
         machine: The robot.
-        demands: What they must satisfy.
-        safety: Margins on top.
-        wanted: About how many; the grid is made so fine.
+        demands: Conditions that they must satisfy.
+        safety: Additional margins.
+        wanted: Approximate number of poses; it determines the grid.
         tilt: Angle by which a plate that can turn is tilted and turned about each axis [rad].
-        seed: Of what is spread at random.
-        progress: Told what is being done.
+        seed: Seed of random samples.
+        progress: Called with a description of each step.
 
     Raises:
-        CannotAnswer: There is none.
+        CannotAnswer: No pose satisfies the demands.
     """
     safety = safety if safety is not None else Safety()
     strict = safety.apply(demands if demands is not None else PoseRequirements())
@@ -233,7 +233,7 @@ _FREE = 0.02  # [m] before the mark that may be hidden: the target's own mount
 
 
 def find_blocking(device: MeasuringDevice, tool: Poses, around: Surroundings) -> np.ndarray:
-    """Return the obstacle in which a device would stand at each tool pose (N,), '' where it stands free."""
+    """Return the obstacle that contains the device at each tool pose (N,), '' if no obstacle does."""
     out, places = np.full(len(tool.position), SEEN, dtype=object), device.find_places(tool)
     if places is None:
         return out
@@ -246,13 +246,13 @@ def find_blocking(device: MeasuringDevice, tool: Poses, around: Surroundings) ->
 def find_occlusions(
     device: MeasuringDevice, tool: Poses, q: np.ndarray, around: Surroundings, machine: WorkspaceModel | None
 ) -> np.ndarray:
-    """Return what hides the target at each pose (N,), '' where nothing does.
+    """Return the name of the solid that hides the target at each pose (N,), '' if it is visible.
 
     Args:
-        device: Looks.
+        device: The measuring device.
         tool: Tool poses (N).
         q: Actuated positions there (N, na).
-        around: Obstacles; zones that only the tool must keep out of hide nothing.
+        around: Obstacles; zones that only the tool must keep out of do not block the view.
         machine: The robot, whose own solids hide as well; None leaves them out.
     """
     out, places = np.full(len(q), SEEN, dtype=object), device.find_places(tool)
@@ -309,11 +309,11 @@ class MeasurablePoses:
 
     Attributes:
         q: Actuated positions (N, na).
-        start: From where each is approached (N, na): itself, unless it touches something.
+        start: Position from which each is approached (N, na): itself, unless it is a touch.
         tool: Tool poses (N).
-        noise: Covariance of what is measured (N, m, m).
-        index: Which of the poses in reach each is, or was searched from (N,).
-        reasons: Why others are none, with their number, most frequent first.
+        noise: Covariance of the measurements (N, m, m).
+        index: Index of each among the poses in reach, or of the pose from which its search started (N,).
+        reasons: Reasons why other poses are excluded, with their number, most frequent first.
     """
 
     q: np.ndarray
@@ -344,13 +344,13 @@ def find_visible(
 
     Args:
         device: The device.
-        poses: Where the robot may be.
-        around: Obstacles that may stand between.
+        poses: Poses that the robot may take.
+        around: Obstacles that may block the view.
         machine: The robot, whose own solids may hide the target; None leaves them out.
 
     Raises:
-        InputError: The device stands in an obstacle.
-        CannotAnswer: It sees none of the poses; says mostly why.
+        InputError: The device is inside an obstacle.
+        CannotAnswer: It sees no pose; the message names the most frequent reason.
     """
     blocking = find_blocking(device, poses.tool, around)
     if (blocking != SEEN).all():

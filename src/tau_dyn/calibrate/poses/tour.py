@@ -2,7 +2,7 @@
 
 A move takes as long as its slowest joint, so distances are the largest share of the travel. The tour starts at home: nearest
 neighbour first, then 2-opt until no reversal of a stretch makes it shorter. Moves that collide cost too much to be taken; where
-one remains, it goes through a place in between. A pose that nothing leads to is left out and named.
+one remains, it goes through a place in between. A pose without a free move to it is left out and named.
 """
 
 from __future__ import annotations
@@ -106,8 +106,8 @@ class Tour:
     Attributes:
         q: Actuated positions (k, na), without the start.
         pose: Index of the pose that is measured there (k,), -1 on the way.
-        left_out: Poses that nothing leads to, and why.
-        length: Of the tour, in whole travels of the slowest joint.
+        left_out: Poses that no free move leads to, and why.
+        length: Length of the tour, in whole travels of the slowest joint.
         as_given: The same in the order given, collisions not counted.
     """
 
@@ -123,8 +123,8 @@ def plan_tour(q: np.ndarray, start: np.ndarray, check: PathCheck, ways: np.ndarr
 
     Args:
         q: Poses (n, na).
-        start: Where the robot stands (na,).
-        check: Judges moves.
+        start: Current position of the robot (na,).
+        check: Check of positions and moves.
         ways: Places (m, na) that moves may go through where the straight one is blocked.
     """
     points = np.vstack([start, q])
@@ -150,9 +150,9 @@ def approach_poses(tour: Tour, q: np.ndarray, travel: np.ndarray) -> Tour:
     """Return a tour that enters each pose (n, na) from its place of the tour and goes back to it; poses at their place stay.
 
     Args:
-        tour: Over the places before the poses.
+        tour: Tour over the places before the poses.
         q: The poses themselves (n, na).
-        travel: Of the joints (na,).
+        travel: Travel of the joints (na,).
     """
     places, pose, length = [], [], tour.length
     for place, k in zip(tour.q, tour.pose, strict=True):
@@ -206,7 +206,7 @@ def _look(
 def _walk(
     points: np.ndarray, order: list[int], check: PathCheck, known: dict[tuple[int, int], str], ways: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, dict[int, str]]:
-    """Follow a tour, going round what is in the way."""
+    """Follow a tour, with detours around obstacles."""
     places, pose, left_out, here = [], [], {}, order[0]
     for there in order[1:]:
         leg = (min(here, there), max(here, there))
