@@ -28,12 +28,12 @@ class ErrorSize(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PoseErrors(Brief):
-    """Measured minus predicted.
+    """Measured minus predicted poses.
 
     Attributes:
         position: (N, 3) [m] in the device's axes, nan where the model reaches no pose.
         rotation: Rotation vectors (N, 3) [rad] in the device's axes, None if no orientation was measured.
-        relative: Stated standard errors of the measurements over their median (N, 6), None if the file states no standard errors.
+        relative: Stated standard errors of the measurements over their median (N, 6), None if not stated.
         configuration: Which poses have the same joint positions (N,), None if all differ; poses with the same joint positions are
             not independent.
         oriented: Whether the model predicts orientation, so that it counts in comparisons.
@@ -142,7 +142,7 @@ def _size(x: np.ndarray) -> ErrorSize:
     return ErrorSize(float(x.mean()), float(np.sqrt(np.mean(x**2))), float(x.max()))
 
 
-_MIN_REPEATS = 5  # measurements beyond the first of their joints; the standard deviation is then known to a third
+_MIN_REPEATS = 5  # measurements beyond the first at the same joints; the standard deviation is then known to a third
 
 NoiseSource = Literal["stated", "columns", "repeats", "unknown"]
 
@@ -163,7 +163,7 @@ class MeasurementNoise:
 
 
 def estimate_measurement_noise(poses: PoseSet, accuracy: tuple[float, ...] = ()) -> MeasurementNoise:
-    """Return how exact poses are.
+    """Return the standard errors of measured poses.
 
     Args:
         poses: Measured poses.

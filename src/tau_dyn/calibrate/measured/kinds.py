@@ -30,7 +30,7 @@ class MeasurementKind(NamedTuple):
 
     Attributes:
         numbers: Independent numbers of a position.
-        axes: Which numbers of the frame it shows: x, y, z, rx, ry, rz.
+        axes: Coordinates of the device's frame that it determines: x, y, z, rx, ry, rz.
         length: Name of the length that it needs, '' if it needs no length.
         sign: Sign of that length in the residual.
         unit: Unit of that length.
@@ -64,7 +64,7 @@ def find_directions(kinds: Sequence[str], device: np.ndarray, seen: np.ndarray) 
 
     Args:
         kinds: Kind of each device or fixture.
-        device: Which of them each measurement has (N,).
+        device: Index of the device or fixture of each measurement (N,).
         seen: Predicted positions of the target in the frames of devices or fixtures (N, 3).
     """
     out = np.zeros_like(seen)
@@ -86,7 +86,7 @@ def compute_position_residuals(
 
     Args:
         kinds: Kind of each device or fixture.
-        device: Which of them each measurement has (N,).
+        device: Index of the device or fixture of each measurement (N,).
         measured: Positions (N, 3) [m]; a distance is in the first coordinate.
         seen: Predicted positions of the target in the frames of devices or fixtures (N, 3) [m].
         lengths: Offset or radius of each measurement (N,) [m].
@@ -117,7 +117,7 @@ def project_columns(kinds: Sequence[str], device: np.ndarray, seen: np.ndarray, 
 
     Args:
         kinds: Kind of each device or fixture.
-        device: Which of them each measurement has (N,).
+        device: Index of the device or fixture of each measurement (N,).
         seen: Predicted positions of the target in the frames of devices or fixtures (N, 3) [m].
         columns: Derivatives of position and perhaps orientation (N, m, p).
     """

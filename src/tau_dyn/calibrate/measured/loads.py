@@ -16,7 +16,7 @@ FORCE = ("fx_tool", "fy_tool", "fz_tool")
 MOMENT = ("mx_tool", "my_tool", "mz_tool")
 LOADS = (*LOAD, *FORCE, *MOMENT)
 _MAX_LOADS = {LOAD: 2e4, FORCE: 2e5, MOMENT: 2e5}
-"""[kg], [N], [N m] that no tool bears; more is a file in g, mN or N mm."""
+"""Largest accepted loads [kg], [N], [N m]; larger ones indicate a file in g, mN or N mm."""
 
 
 def read_loads(table: Table) -> np.ndarray:

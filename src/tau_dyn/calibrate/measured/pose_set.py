@@ -22,7 +22,7 @@ from tau_dyn.mechanism import Poses
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.results import Brief
 
-_MAX_JOINT_DIFFERENCE = 1e-6  # [rad or m]; encoders of a standing robot repeat far better
+_MAX_JOINT_DIFFERENCE = 1e-6  # [rad or m]; encoders of a robot at rest repeat far better
 
 
 def measure_spread(position: np.ndarray) -> float:
@@ -163,7 +163,7 @@ class PoseSet(Brief):
 
     @property
     def touches(self) -> np.ndarray:
-        """Whether each measurement is that the target touches something (N,)."""
+        """Whether each measurement is a touch of the target (N,)."""
         return np.array([kind in TOUCHES for kind in self.kinds])[self.device]
 
     @property
@@ -173,7 +173,7 @@ class PoseSet(Brief):
 
     @property
     def of_encoders(self) -> np.ndarray:
-        """Whether an encoder of a passive joint measured each row (N,), and not the tool."""
+        """Whether each row (N,) is a measurement by an encoder of a passive joint, not of the tool."""
         return np.array([kind in ENCODERS for kind in self.kinds])[self.device]
 
     def hides_size(self, position_units: Sequence[str]) -> bool:
@@ -274,7 +274,7 @@ class PoseSet(Brief):
 
         Args:
             m: Numbers of a pose, 3 or 6.
-            over: Poses whose medians count, such as those that a noise was estimated of; these unless given.
+            over: Poses that give the median, such as those from which a noise was estimated; this set by default.
         """
         out, known = np.ones((self.n, m)), self if over is None else over
         if self.position_stderr is not None and known.position_stderr is not None:
@@ -301,9 +301,9 @@ class PoseSet(Brief):
         return tool, replace(self.take(rows), warnings=())
 
     def with_devices_of(self, known: PoseSet) -> PoseSet:
-        """Return the set with the devices, and how exact they are, of another whose numbers it follows.
+        """Return the set with the devices and their standard errors of another set, whose numbering it follows.
 
-        Devices that the other has not are as exact as its devices of their kind, or else as all.
+        Devices that the other set lacks have the standard error of its devices of their kind, or else of all.
         """
         more = self.devices[len(known.devices) :] if self.device.max(initial=0) >= len(known.devices) else ()
         kinds, errors = (*known.kinds, *self.kinds[len(known.kinds) :]), known.device_errors
@@ -315,17 +315,17 @@ class PoseSet(Brief):
         )
 
     def without_rotation(self) -> PoseSet:
-        """Return the positions alone."""
+        """Return the set without orientations."""
         return replace(self, rotation=None)
 
 
 def number_alike(poses: PoseSet, holdout: PoseSet) -> PoseSet:
     """Return held-out poses with the training poses' numbering of campaigns, targets and devices.
 
-    A distance or a touch at a place that the training poses do not show becomes a further device, with a warning.
+    A distance or a touch at a place that the training poses do not contain becomes a further device, with a warning.
 
     Raises:
-        InputError: A campaign, a target or a tracker is unknown, or a device measures something else.
+        InputError: A campaign, a target or a tracker is unknown, or a device measures another quantity.
     """
     campaign = _renumber(holdout, "campaign", holdout.campaign, holdout.campaigns, poses.campaigns)
     target = _renumber(holdout, "target", holdout.target, holdout.targets, poses.targets)
@@ -334,7 +334,7 @@ def number_alike(poses: PoseSet, holdout: PoseSet) -> PoseSet:
         and poses.kinds == holdout.kinds
         and not _can_be_placed(poses.kinds[0])
     )
-    names = poses.devices if alone else holdout.devices  # one tracker alone is the same one under any name
+    names = poses.devices if alone else holdout.devices  # a single tracker matches whatever it is called
     for name, kind in zip(names, holdout.kinds, strict=True):
         known = dict(zip(poses.devices, poses.kinds, strict=True))
         if known.get(name, kind) != kind:
@@ -362,7 +362,7 @@ def number_alike(poses: PoseSet, holdout: PoseSet) -> PoseSet:
 
 
 def _can_be_placed(kind: str) -> bool:
-    """Tell whether measurements of a kind alone show where its device or fixture is."""
+    """Return whether measurements of one kind alone determine the place of its device or fixture."""
     return kind == "distance" or kind in TOUCHES
 
 
@@ -398,7 +398,7 @@ def join_pose_sets(sets: Sequence[PoseSet]) -> PoseSet:
     """Return the poses of several files as one set; campaigns of one name are one campaign, and so are targets and devices.
 
     Raises:
-        InputError: Some have orientations, others not; or a device measures different things.
+        InputError: Some have orientations, others not; or a device measures different quantities.
     """
     if len(sets) == 1:
         return sets[0]
@@ -445,7 +445,7 @@ def join_pose_sets(sets: Sequence[PoseSet]) -> PoseSet:
 
 
 def _join_words(parts: Sequence[tuple[np.ndarray, tuple[str, ...]]]) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return one numbering of names that several files number each for itself, and the names."""
+    """Return a common numbering of names that each file numbers separately, and the names."""
     names = tuple(dict.fromkeys(name for _, words in parts for name in words))
     return np.concatenate([np.array([names.index(name) for name in words])[number] for number, words in parts]), names
 

@@ -24,15 +24,15 @@ STDERRS = ("x_tool_stderr", "y_tool_stderr", "z_tool_stderr")
 ROTATION_STDERR = "rot_tool_stderr"
 QUATERNION = ("qx_tool", "qy_tool", "qz_tool", "qw_tool")
 DISTANCE = "distance_tool"
-_MAX_COORDINATE_M = 1e3  # [m] from the device; farther is a file in mm
-_MAX_ROOM_M = 50.0  # [m] from the device in most rows; farther, single far rows are no slips but all rows are in mm
+_MAX_COORDINATE_M = 1e3  # [m] from the device; a larger coordinate means a file in mm
+_MAX_ROOM_M = 50.0  # [m] from the device in most rows; otherwise far rows are not single errors, but all rows are in mm
 
 
 def as_poses(poses: PoseSet | str | Path, robot: Robot) -> PoseSet:
     """Return poses as they are, or read a file of them; see `read_poses`.
 
     Raises:
-        InputError: They are something else, or their file cannot be used.
+        InputError: The argument is neither poses nor a path, or the file cannot be used.
     """
     if isinstance(poses, PoseSet):
         return poses
@@ -61,8 +61,8 @@ def read_poses(
     came, and without them the order of the file does. Known loads on the tool are in `load` [kg], `fx_tool` .. [N] and
     `mx_tool` .. [N m] (`loads.py`).
 
-    A row may give something else than a position: `distance_tool` [m] from the point that `device` names, or the name of what
-    the target touches in a column `hole`, `plane` or `sphere`. Passive joints with encoders are read from their columns `q_J`,
+    A row may have another measurement than a position: `distance_tool` [m] from the point that `device` names, or the name of
+    the touched fixture in a column `hole`, `plane` or `sphere`. Passive joints with encoders are read from their columns `q_J`,
     in addition to or instead of these. Places on the way of a plan (`pose` 0) are left out.
 
     Args:
@@ -143,13 +143,13 @@ def _read_tool(table: Table, rows: PoseSet) -> PoseSet:
             *more,
         ),
     )
-    if np.median(np.abs(position).max(axis=1)) < _MAX_ROOM_M:  # else the whole file has another unit
+    if np.median(np.abs(position).max(axis=1)) < _MAX_ROOM_M:  # otherwise the whole file has another unit
         check_units(poses)
     return poses
 
 
 def _find_tool_rows(table: Table) -> np.ndarray:
-    """Tell in which rows (N,) something of the tool is measured."""
+    """Return whether the tool is measured in each row (N,)."""
     given = np.zeros(table.n_rows, bool)
     for name in (*POSITION, DISTANCE, *TOUCHES):
         if name in table.cells:
@@ -206,7 +206,7 @@ def _read_measurements(table: Table) -> tuple[np.ndarray, np.ndarray, tuple[str,
 
 
 def _is_filled(table: Table, names: Sequence[str]) -> np.ndarray:
-    """Tell in which rows (N,) all of these columns have a cell that is not empty; the only measurement counts as filled."""
+    """Return whether all of these columns have a cell in each row (N,); the only measurement of a table counts as filled."""
     if not all(name in table.cells for name in names):
         return np.zeros(table.n_rows, bool)
     others = [name for name in (*POSITION, DISTANCE, *TOUCHES) if name in table.cells and name not in names]
@@ -216,7 +216,7 @@ def _is_filled(table: Table, names: Sequence[str]) -> np.ndarray:
 
 
 def _read_position_stderr(table: Table, kinds: Sequence[str]) -> tuple[np.ndarray | None, tuple[str, ...]]:
-    """Return standard errors of positions (N, 3) [m], those of a distance three times; None where not all have one."""
+    """Return standard errors of positions (N, 3) [m], those of a distance three times; None unless all rows have one."""
     if set(kinds) == {"distance"}:
         stated, said = _read_stated(table, (f"{DISTANCE}_stderr",))
         return None if stated is None else np.repeat(stated, 3, axis=1), said
@@ -240,7 +240,7 @@ def _rename_columns(table: Table, map_: ColumnMap) -> Table:
 
 
 def _follow_mimics(table: Table, mimics: Mapping[str, Mimic]) -> Table:
-    """Return the table with the positions of joints that follow others, where it lacks them."""
+    """Return the table with the positions of joints that follow others, if it lacks them."""
     cells = dict(table.cells)
     for _ in mimics:  # a joint may follow one that follows another
         for joint, mimic in mimics.items():
@@ -318,10 +318,10 @@ def _numbers(table: Table, name: str) -> np.ndarray:
 
 
 def check_units(poses: PoseSet) -> None:
-    """Refuse positions that no device measures in m.
+    """Refuse positions that are too large to be in m.
 
     Raises:
-        InputError: Names the farthest pose.
+        InputError: A position is too far away; the message names the farthest pose.
     """
     far = np.abs(poses.position).max(axis=1)
     if np.any(far > _MAX_COORDINATE_M):
@@ -332,7 +332,7 @@ def check_units(poses: PoseSet) -> None:
 
 
 def _has_angles(table: Table) -> bool:
-    """Tell whether orientations are three numbers; a quaternion goes first."""
+    """Return whether orientations are three numbers; a quaternion has precedence."""
     return QUATERNION[0] not in table.cells and all(name in table.cells for name in ANGLES)
 
 
@@ -410,7 +410,7 @@ def _differentiate(table: Table, q: np.ndarray) -> np.ndarray:
 
 
 def _approach(table: Table, actuated: Sequence[str], q: np.ndarray) -> np.ndarray:
-    """Return from which side each joint came (N, na), by its speed where it is given, else by the pose before."""
+    """Return the side from which each joint came (N, na), by its speed if given, otherwise by the pose before."""
     if all(f"v_{joint}" in table.cells for joint in actuated):
         return np.sign(np.column_stack([_numbers(table, f"v_{joint}") for joint in actuated]))
     step = np.sign(np.diff(q, axis=0, prepend=q[:1]))

@@ -7,7 +7,7 @@ the camera satisfies
 
     w x a + (1 - g g') v / |b - c| = g - a.
 
-Each step of the joints also asks for `v = 0`, so that the camera stays in front of the pattern where enough joints turn it.
+Each step of the joints also asks for `v = 0`, so that the camera stays in front of the pattern if enough joints turn it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _DRAWS = 3  # directions drawn for each pose in front of the pattern
 def turn_camera(
     camera: ToolCamera, geometry: Geometry, q: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the joint positions (N, na) nearest to those given from which the pattern is seen, and whether it is (N,).
+    """Return the joint positions (N, na) nearest to those given from which the pattern is seen, and whether it is seen (N,).
 
     Args:
         camera: The camera on the tool.

@@ -28,7 +28,7 @@ _TO_PRINT = np.diag([1.0, -1.0, -1.0])
 _MIN_TILT_STDERR = 5.0  # standard errors between two tilts that corners separate
 _MIN_CHI2_DIFFERENCE = 25.0  # of two tilts, in corner variances, as `vision` takes it
 _MAX_NOISE_RATIO = 5.0
-"""Times the camera's corner noise above which its focal length, its lens or the pattern's size is in doubt."""
+"""Ratio to the camera's corner noise above which its focal length, its lens or the pattern's size is in doubt."""
 _SHIFTS = (("right", "left"), ("down", "up"), ("forwards", "backwards"))
 _TURNS = (("up", "down"), ("right", "left"), ("clockwise", "anticlockwise"))
 """Words for positive and negative numbers."""
@@ -59,7 +59,7 @@ class CameraCorrection:
     warnings: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it for a JSON result."""
+        """Return the correction for a JSON result."""
         return {
             "shift": {"axes": ["right", "down", "forwards"], "value": self.shift, "stderr": self.stderr[:3], "unit": "m"},
             "turn": {
@@ -71,7 +71,7 @@ class CameraCorrection:
         }  # fmt: skip
 
     def describe(self) -> list[str]:
-        """Return what to do, a sentence each for place and direction."""
+        """Return instructions, a sentence each for place and direction."""
         shifts = _list_moves(1e3 * self.shift, 1e3 * self.stderr[:3], _SHIFTS, 1, "mm")
         turns = _list_moves(np.rad2deg(self.turn), np.rad2deg(self.stderr[3:]), _TURNS, 2, "deg")
         return [
@@ -164,7 +164,7 @@ def find_camera_correction(camera: Camera, tool: Poses, taken: str | Path) -> Ca
 def _choose_tilt(camera: Camera, seen: Poses, wanted: Poses, noise: float, stderr: float) -> tuple[Poses, bool]:
     """Return the pattern as found or with its other tilt, and whether the corners leave both open.
 
-    They do where the other tilt fits as well, and where both are so near that their standard error [rad] holds both.
+    The corners leave both open if the other tilt fits as well, or if the tilts differ by less than five standard errors [rad].
     """
     sight = seen.position[0] / np.linalg.norm(seen.position[0])
     half_turn = Rotation.from_rotvec(np.pi * sight).as_matrix()

@@ -50,7 +50,7 @@ _MAX_ERROR_RATIO = 0.8
 _MIN_CHOICE = 2.0
 """Candidates in view for each pose measured, below which a chosen camera place deserves more candidates."""
 _PLACES = 400
-"""Places of the workspace at which accuracy is judged."""
+"""Places of the workspace at which accuracy is evaluated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +64,8 @@ class CalibrationCampaign:
         visible: Poses of these that the device sees, or that lead to a touch.
         choice: The chosen poses and their predicted accuracy.
         rehearsal: Simulated calibrations with them.
-        tour: Their order, and places on the way.
-        check: Judges positions and moves.
+        tour: The order of the poses, and places on the way.
+        check: Check of positions and moves.
         warnings: Sentences.
         placement: Chosen place of the camera, None if neither place nor direction was to be chosen.
     """
@@ -108,7 +108,7 @@ class CalibrationCampaign:
         return build_new_progress(self.robot.actuated, self.tour.q, self.tour.pose, self.cells)
 
     def tool(self, q: np.ndarray) -> Poses:
-        """Return where the nominal robot's tool is at positions (k, na)."""
+        """Return the nominal robot's tool poses at positions (k, na)."""
         return self.check.poses(q)[0]
 
     def csv(self) -> str:
@@ -186,19 +186,19 @@ def plan_campaign(
         model: Calibration model, as `calibrate` names it; by default all dimensions.
         criterion: As in `choose_poses`.
         demands: Obstacles, limits, collisions.
-        safety: Margins on top.
-        required: Accuracy asked for, root mean square over the workspace [m].
+        safety: Additional margins.
+        required: Required accuracy, root mean square over the workspace [m].
         known: Frames that are known: `device`, `tool`.
         weighted: Whether the fit will weigh every pose by the device's covariance there (`refine`) instead of all equally.
         fix: Names or patterns of parameters that stay.
-        free: Names or patterns freed on top.
-        candidates: About how many poses to choose from.
+        free: Names or patterns of parameters freed in addition.
+        candidates: Approximate number of poses to choose from.
         runs: Simulated calibrations.
         seed: Seed of all random numbers.
         progress: Called with a description of each step.
 
     Raises:
-        InputError: Something given is at fault.
+        InputError: An argument is invalid.
         CannotAnswer: No pose can be reached or seen, or the calibration would not be accurate enough; the message names a remedy.
     """
     demands = demands if demands is not None else PoseRequirements()
@@ -348,7 +348,7 @@ def _tour(choice: PoseChoice, start: np.ndarray, robot: Robot, reach: Reachable,
 
 
 def _predictable(reach: Reachable, geometry: Geometry) -> Reachable:
-    """Return the poses that the geometry finds as well: it starts from the nominal robot's home and may lose some."""
+    """Return the poses that the geometry solves as well: its solver starts from the nominal robot's home and may lose some."""
     found = geometry.forward(geometry.parameters.values, reach.q)
     away = np.linalg.norm(np.where(found.ok[:, None], found.poses.position, np.inf) - reach.tool.position, axis=1)
     good = np.flatnonzero(found.ok & (away < 1e-6))
@@ -368,7 +368,7 @@ def _thinned(q: np.ndarray, seed: int) -> np.ndarray:
 
 
 def _weighing(choice: PoseChoice) -> tuple[str, ...]:
-    """Return what weighing poses by the device's covariance would bring, where it is worth a sentence."""
+    """Return a sentence on the benefit of weighing poses by the device's covariance, if it is large enough."""
     if choice.design.weighted:
         return ()
     better = predict(replace(choice.design, weighted=True), choice.index).rms
@@ -381,7 +381,7 @@ def _weighing(choice: PoseChoice) -> tuple[str, ...]:
 
 
 def _few_in_view(visible: Visible, choice: PoseChoice) -> tuple[str, ...]:
-    """Return that a camera which sees a small part of the workspace leaves few candidates, where it does."""
+    """Return a sentence if the camera sees so small a part of the workspace that few candidates are left."""
     if len(visible.index) > _MIN_CHOICE * choice.n:
         return ()
     return (

@@ -46,7 +46,7 @@ _AT_REST = 1e-10  # largest part of a step at which the iteration ends
 
 @dataclass(frozen=True)
 class CameraPattern:
-    """A chessboard: a grid of corners in its frame's plane, z towards who looks at it.
+    """A chessboard: a grid of corners in its frame's plane, z towards the viewer.
 
     Attributes:
         columns: Corners along x.
@@ -94,7 +94,7 @@ class Camera(StandingDevice):
         steady: Whether the pattern keeps its orientation, so that positions alone are measured.
         name: Name in messages.
         up: Direction that points upwards in the picture (3,), in the robot's base frame.
-        places: Lowest and highest x, y, z of its place (3, 2) [m] where place and direction are to be chosen, None if the
+        places: Lowest and highest x, y, z of its place (3, 2) [m] if place and direction are to be chosen, None if the
             camera's place is given; with equal ones only the direction is chosen.
     """
 
@@ -139,7 +139,7 @@ class Camera(StandingDevice):
         return _points(transform_to_base(self.frames, tool), np.vstack([np.zeros((1, 3)), self.pattern.outline]))
 
     def covariance(self, tool: Poses) -> np.ndarray:
-        """Return the covariance of the pattern's measured pose (N, 6, 6), of a steady one's position (N, 3, 3)."""
+        """Return the covariance of the pattern's measured pose (N, 6, 6), or of the position of a steady one (N, 3, 3)."""
         slope = self.compute_slope(self.see(tool))
         slope = slope[:, :, :3] if self.steady else slope
         return self.pixel_noise**2 * np.linalg.inv(np.swapaxes(slope, 1, 2) @ slope)
@@ -242,7 +242,7 @@ def build_camera_frame(place: np.ndarray, look_at: np.ndarray, up: np.ndarray) -
     """Return the frame of a camera at a place that looks at a point, `up` upwards in the picture.
 
     Raises:
-        InputError: It looks along `up`, or at itself.
+        InputError: The camera looks along `up`, or at its own place.
     """
     z = look_at - place
     x = np.cross(z, up)
@@ -273,7 +273,7 @@ UP = (0.0, 0.0, 1.0)
 
 
 def read_camera(path: str | Path) -> Camera:
-    """Read a camera and its pattern: a `ToolCamera` where the camera is on the tool.
+    """Read a camera and its pattern: a `ToolCamera` if the camera is on the tool.
 
     Raises:
         InputError: Something is missing or no number; the message names the place.
@@ -373,7 +373,7 @@ class FilePart:
 
     Args:
         content: Content of the file there.
-        where: Opens the messages.
+        where: Start of the messages.
         known: Permitted keys.
     """
 
@@ -392,7 +392,7 @@ class FilePart:
         raise InputError("file_format", f"{self.where}: {text}")
 
     def part(self, key: str, known: set[str], *, needed: bool = True) -> FilePart:
-        """Return a mapping in this one, an empty one where it is missing and not needed."""
+        """Return a mapping in this one, an empty one if it is missing and not needed."""
         if needed and key not in self.content:
             self.fault(f"'{key}' is missing")
         return FilePart(self.content.get(key, {}), f"{self.where}: {key}", known)
@@ -456,7 +456,7 @@ class FilePart:
 
 
 def _is_number(value: Any) -> bool:
-    if isinstance(value, str):  # YAML takes 10e-6 for text
+    if isinstance(value, str):  # YAML reads 10e-6 as text
         try:
             value = float(value)
         except ValueError:

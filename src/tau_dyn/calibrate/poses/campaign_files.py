@@ -2,7 +2,8 @@
 
 In RAPID, the robot moves to joint targets (`MoveAbsJ`: mm along slides, degrees about turning joints); robot targets are
 written next to them for the reader. `next_place` is persistent: a program that was stopped goes on with the pose it had not
-measured. A touch is not driven to, because the nominal robot would miss it or run into it: the program stops at the place before.
+measured. The robot does not drive to a touch, because the nominal robot would miss it or collide: the program stops at the place
+before.
 
 The progress file is JSON, numbers in m and rad, one entry for every place of the tour, written whole or not at all after every
 pose. Killed at any point, a campaign loses at most the pose that was being measured.
@@ -142,13 +143,13 @@ def format_tour_csv(
 _VERSION = 1  # version of the file format
 _MAX_FILE_BYTES = 64 * 2**20  # [bytes]
 Measure = Callable[[int, np.ndarray], "tuple[np.ndarray, np.ndarray | None] | None"]
-"""From a pose's number and positions (na,) to the measured position (3,) and orientation (3, 3) or None; None where
-nothing was seen."""
+"""Function of a pose's number and positions (na,) that returns the measured position (3,) and orientation (3, 3) or None;
+None if the target was not seen."""
 
 
 @dataclass(frozen=True, eq=False)
 class CampaignProgress:
-    """A plan and how far it has come.
+    """A plan and its progress.
 
     Attributes:
         actuated: Joints, in the order of `q`.
@@ -170,7 +171,7 @@ class CampaignProgress:
 
     @property
     def left(self) -> np.ndarray:
-        """Indices of the places that still come; those on the way only before a pose that does."""
+        """Indices of the places still to be visited; places on the way only if a pose to be measured follows."""
         open_ = np.array([s == "open" for s in self.state])
         poses = np.flatnonzero(open_ & (self.pose >= 0))
         if not len(poses):
@@ -235,7 +236,7 @@ def read_progress(path: str | Path, actuated: tuple[str, ...]) -> CampaignProgre
     """Read a progress file.
 
     Raises:
-        InputError: It is not one, or belongs to another robot.
+        InputError: The file is no progress file, or belongs to another robot.
     """
     try:
         content = json.loads(read_bytes(path, _MAX_FILE_BYTES).decode("utf-8"))
@@ -289,7 +290,7 @@ def run_campaign(plan: CampaignProgress, measure: Measure, path: str | Path) -> 
 
     Args:
         plan: The plan; an existing progress file has precedence.
-        measure: Drives to a place and measures; also called on the way, with pose -1, where its answer is not used.
+        measure: Function that drives to a place and measures; also called on the way, with pose -1; its result is then not used.
         path: Progress file, written after every place.
 
     Returns:

@@ -5,8 +5,8 @@ The tool's error at a place is `D dp` with `dp ~ N(0, P)`, so its mean square ov
     mean  tr(P L),     variance  2 tr(P L P L),     L = mean of D' D.
 
 With twice the information this part `s` of the held-out error falls to `s / sqrt(2)` while the device's noise `w` stays. Poses
-are enough where `1 - sqrt(s^2 / 2 + w^2) / sqrt(s^2 + w^2)` falls below a threshold, or where `s` has come down to an accuracy
-that was asked for. Fewer than the rank needs cannot be fitted at all.
+are enough where `1 - sqrt(s^2 / 2 + w^2) / sqrt(s^2 + w^2)` falls below a threshold, or where `s` reaches a required
+accuracy. Fewer poses than the rank requires cannot be fitted.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class CalibrationPrediction(NamedTuple):
         scatter: Standard deviation of that from campaign to campaign [m].
         worst: The same root mean square at the worst place [m].
         held_out: Root mean square of measured minus predicted at other poses [m]: `rms` and the device's noise.
-        turn: Root mean square orientation error [rad], nan where the tool does not turn.
+        turn: Root mean square orientation error [rad], nan if the tool does not turn.
         stderr: Standard errors of the identifiable parameters (r,), each in its unit.
     """
 
@@ -92,11 +92,11 @@ _SIZE_UNDETERMINED = (
 MIN_DOUBLING_GAIN = 0.03
 """Share by which twice as many poses must make the held-out error smaller to be worth it."""
 _UNKNOWN = 1.0
-"""Standard error, in scales, from which a parameter is as good as unknown."""
+"""Standard error, in scales, from which a parameter is practically unknown."""
 
 
 def compute_min_poses(design: PoseDesign) -> int:
-    """Return the fewest poses with which the model can be fitted and its noise judged."""
+    """Return the smallest number of poses with which the model can be fitted and its noise estimated."""
     rank = design.found.rank
     if rank >= design.n * design.per_pose:  # the candidates are too few to show the information of more of them
         rank = len(design.found.names)
@@ -116,10 +116,10 @@ def add_poses_until_enough(
 
     Args:
         design: Candidates.
-        search: Picks them.
+        search: Search that picks them.
         gain: Threshold of `compute_doubling_gain`.
-        target: Accuracy asked for [m]; replaces the threshold.
-        most: Most poses.
+        target: Required accuracy [m]; replaces the threshold.
+        most: Largest number of poses.
     """
     least, chosen, curve = compute_min_poses(design), [], []
     for k in search.pick():
@@ -185,7 +185,7 @@ class PoseChoice:
 
     @property
     def not_identifiable(self) -> dict[str, tuple[str, ...]]:
-        """Parameters that stay at their nominal value, and on which others they depend."""
+        """Parameters that stay at their nominal value, and the other parameters that they depend on."""
         found = self.design.found
         return {found.names[k]: d for k, d in zip(found.dropped, found.depends_on, strict=True)}
 
@@ -239,7 +239,7 @@ def choose_poses(
         **known: Arguments of `build_design`: frames, workspace, fix, free, device, tool, weighted.
 
     Raises:
-        InputError: Too few candidates or poses (with the number needed), or values that are not finite numbers.
+        InputError: Too few candidates or poses (with the number needed), or an argument out of range.
         UnknownName: No such criterion.
     """
     design = build_design(geometry, candidates, noise, **known)

@@ -1,4 +1,4 @@
-"""How good a set of poses is, from its information matrix `M` (in scales), and sets chosen by it: picked, then exchanged.
+"""Criteria for a set of poses, from its information matrix `M` (in scales), and sets chosen by them: picked, then exchanged.
 
     tool           average predicted variance of the tool over the workspace, tr(M^-1 L); V-optimal, the default
     worst          the same at the worst place of the workspace; G-optimal
@@ -7,11 +7,11 @@
     smallest       sigma_min (Nahvi et al. 1994; Williams et al. 2006)
     amplification  sigma_min^2 / sigma_max (Nahvi & Hollerbach 1996)
 
-Every value is a logarithm, to be made large. The thesis prints the last one upside down: (5.14) sets sigma_max^2 / sigma_min
+Every value is a logarithm, to be maximised. The thesis prints the last one inverted: (5.14) sets sigma_max^2 / sigma_min
 equal to sigma_max / cond(J), which is sigma_min. The source's index is sigma_min^2 / sigma_max = sigma_min / cond(J), to be
-large.
+maximised.
 
-`pick` adds the pose that helps most, again and again. `exchanged` improves a set by excursions (Mitchell 1974, DETMAX): it adds
+`pick` repeatedly adds the pose with the largest gain. `exchanged` improves a set by excursions (Mitchell 1974, DETMAX): it adds
 one, two or three poses and takes as many away again, or the other way round, and keeps the better set. The criterion's gradient
 selects the poses that are evaluated exactly. `leave_one_out` is the thesis' rule (5.9).
 """
@@ -33,7 +33,7 @@ _SHARP = 4
 """Power by which eigenvalues near the smallest take part in its gradient; they change places as poses come and go."""
 
 _PLACES = 200
-"""Places at most among which the worst is looked for in every step."""
+"""Largest number of places that are searched for the worst in every step."""
 
 
 class Criterion(NamedTuple):
@@ -173,11 +173,11 @@ class PoseExchange:
             yield k
 
     def exchanged(self, index: np.ndarray, most: int = 500) -> np.ndarray:
-        """Return a set of as many poses that no short excursion makes better, in ascending order.
+        """Return a set of as many poses that no short excursion improves, in ascending order.
 
         Args:
-            index: Where to start (n,).
-            most: Excursions that are tried at most.
+            index: Start set (n,).
+            most: Largest number of excursions.
         """
         chosen, length, first = np.array(index), 1, +1
         m = self.information(chosen)

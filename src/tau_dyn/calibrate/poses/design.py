@@ -161,7 +161,7 @@ def build_design(
         frames: Device and target as far as they are known; identity otherwise.
         workspace: Positions (M, na) where accuracy counts; the candidates by default.
         fix: Names or patterns of parameters that stay.
-        free: Names or patterns freed on top.
+        free: Names or patterns of parameters freed in addition.
         device: Whether the device's frame is unknown.
         tool: Whether the target's place on the tool is unknown.
         weighted: Whether the fit will weigh every pose by its own covariance (`refine`) instead of all equally (`fit`).
@@ -227,7 +227,7 @@ def _without_values(q: np.ndarray) -> PoseSet:
 def _slopes(
     geometry: Geometry, frames: DeviceFrames, unknowns: Unknowns, poses: PoseSet, turned: bool
 ) -> tuple[np.ndarray, Poses, np.ndarray]:
-    """Return derivatives of the measured numbers by the free unknowns (N, m, f), tool poses, and where they exist."""
+    """Return derivatives of the measured numbers by the free unknowns (N, m, f), tool poses, and which of them exist."""
     theta = geometry.parameters.values
     predicted = predict_measured(geometry, theta, poses, poses.q)
     seen = frames.measured(predicted.poses, poses.setup)
@@ -244,7 +244,7 @@ def _target_slopes(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return derivatives of the first target's pose in the base frame by the free unknowns (N, 6, f), and where it exists (N,).
 
-    Nothing measured shows where the base is, so the motion of the whole robot that changes its positions least is taken out, and
+    No measurement shows where the base is, so the motion of the whole robot that changes its positions least is taken out, and
     its size where it is not `sized`.
     """
     theta, setup = geometry.parameters.values, np.zeros(len(q), int)
@@ -389,7 +389,7 @@ class _CovarianceProblem:
         return self.problem.moved(state, whole)
 
     def gain(self, state: FitState, trial: FitState) -> float:
-        """Return by how much the sum falls; losing a pose is no way down."""
+        """Return the decrease of the sum; the loss of a pose does not count as a decrease."""
         if trial.ok.sum() < state.ok.sum():
             return -np.inf
         return self._cost(state) - self._cost(trial)

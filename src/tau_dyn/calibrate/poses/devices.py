@@ -46,7 +46,7 @@ class MeasuringDevice(Protocol):
         ...
 
     def find_places(self, tool: Poses) -> np.ndarray | None:
-        """Return from where it looks (N, 3) [m] in the robot's base frame, None if it sees through everything."""
+        """Return its viewpoint (N, 3) [m] in the robot's base frame, None if it sees through everything."""
         ...
 
     def reasons(self, tool: Poses) -> np.ndarray:
@@ -137,7 +137,7 @@ def move_joints(
     closed: float,
     small: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the joint positions (N, na) nearest to those given at which a gap is closed, and where it is (N,).
+    """Return the joint positions (N, na) nearest to those given at which a gap is closed, and whether it is (N,).
 
     Args:
         q: Start positions (N, na).
@@ -184,7 +184,7 @@ class StandingDevice(ABC):
         return DeviceFrames((self.pose.inverse,), (self.on_tool,))
 
     def find_places(self, tool: Poses) -> np.ndarray:
-        """Return from where it looks (N, 3) [m]."""
+        """Return its viewpoint (N, 3) [m]."""
         return np.repeat(self.pose.translation[None], len(tool.position), axis=0)
 
     def see(self, tool: Poses) -> Poses:
@@ -192,7 +192,7 @@ class StandingDevice(ABC):
         return transform_to_device(self.frames, tool)
 
     def reasons(self, tool: Poses) -> np.ndarray:
-        """Return why it does not see the target (N,), '' where it does: the first rule that is broken."""
+        """Return why it does not see the target (N,), the first rule that is broken, '' if it sees it."""
         out = np.full(len(tool.position), SEEN, dtype=object)
         for words, broken in self._rules(self.see(tool)):
             out[broken & (out == SEEN)] = words

@@ -5,7 +5,7 @@ the target is on the fixture: Newton's method solves `|p(q)| = radius` of a ball
 the shortest step of the joints. The robot approaches from outwards, and only the last move may come near the obstacle to which
 the fixture belongs.
 
-Files have lengths in m, places about right in the robot's base frame, normals out of plane and hole, targets in the tool frame:
+Files have lengths in m, approximate places in the robot's base frame, normals out of plane and hole, targets in the tool frame:
 
     target: [0, 0, 0.1]
     fixtures:
@@ -56,9 +56,9 @@ PLANNED = ("distance", *TOUCHES, "encoder")
 """Kinds of fixtures in a file."""
 _SMALL = 1e-3  # ratio of singular values below which a direction is left alone
 _TOUCHES_M = 1e-9  # [m] gap at which the target touches
-_BEHIND_M = 1e-6  # [m] by which the tool frame may lie behind the surface: rounding
+_BEHIND_M = 1e-6  # [m] by which the tool frame may be behind the surface: rounding
 _MIN_DIFFERENCE = 1e-4  # [m or rad] below which two touches are one: three axes reach a hole in one way
-_MAX_APPROACH = 0.5  # [m or rad] of a joint on the last move; longer ones come from elsewhere
+_MAX_APPROACH = 0.5  # [m or rad] of a joint on the last move; longer moves approach from another direction
 _MIN_RETRACT_M = 0.02
 """Least distance from which a fixture is approached [m]: nominal dimensions are off by about 10 mm."""
 
@@ -98,7 +98,7 @@ class Fixture:
 
     @property
     def turned(self) -> bool:
-        """Whether it measures orientations: no."""
+        """Whether it measures orientations, which is False."""
         return False
 
     def find_places(self, tool: Poses) -> np.ndarray | None:
@@ -109,7 +109,7 @@ class Fixture:
 
     @property
     def cells(self) -> dict[str, str]:
-        """Cells of a measurement file that name it, by column."""
+        """Cells of a measurement file that name the fixture, by column."""
         if self.kind in ENCODERS:
             return {f"q_{self.label}": ""}
         return {"device" if self.kind == "distance" else self.kind: self.label}
@@ -171,7 +171,7 @@ class FixtureSet:
 
     @property
     def name(self) -> str:
-        """Their names."""
+        """Names of the devices and fixtures."""
         return format_names([fixture.name for fixture in self.fixtures])
 
     @property
@@ -217,7 +217,7 @@ class FixtureSet:
         """Return measurements of a robot with parameters `theta` (p,) at planned poses; touches are reached by jogging.
 
         Raises:
-            CannotAnswer: The robot does not reach a fixture from where it is planned.
+            CannotAnswer: The robot does not reach a fixture from its planned place.
         """
         noise = np.array([fixture.noise for fixture in self.fixtures])
         off = noise[poses.device, None] * rng.standard_normal((poses.n, 3))
@@ -250,8 +250,9 @@ def reach_fixtures(
         geometry: The mechanism.
         theta: Its parameters (p,).
         frames: Fixtures and targets.
-        poses: Where to start, and which fixture each touches.
-        off: Target from where it touches (N, 3) [m]: the first number outwards of a plane or a ball, three in a hole's frame.
+        poses: Start poses, and the fixture that each touches.
+        off: Displacement of the target from its touching position (N, 3) [m]: the first number outwards of a plane or a ball,
+            three in a hole's frame.
     """
     one = poses.numbers == 1
 
@@ -282,8 +283,8 @@ def find_touches(
         fixture: The fixture to be touched.
         geometry: The mechanism at its nominal parameters.
         reach: Poses from which the search starts.
-        check: Judges the place from which the fixture is approached, and the tour.
-        demands: What touches themselves must satisfy, without the obstacle to which the fixture belongs.
+        check: Check of the place from which the fixture is approached, and of the tour.
+        demands: Conditions that touches themselves must satisfy, without the obstacle to which the fixture belongs.
         safety: Margins of the travel, and how far outwards the approach starts.
 
     Raises:

@@ -34,10 +34,10 @@ from tau_dyn.kinematics import Box, Obstacle, Surroundings
 from tau_dyn.kinematics.workspace import PoseRequirements, WorkspaceModel
 
 Goal = Literal["error", "view", "plate"]
-"""What is made best: the predicted error, the share of poses in view, or the plate's size with as many poses in view."""
+"""Quantity to be optimised: the predicted error, the share of poses in view, or the plate's size with as many poses in view."""
 
 CLEARANCE = 0.15
-"""[m] What the robot and the target keep from the camera's place: half a camera with its mount and lens."""
+"""[m] Least distance of the robot and the target from the camera's place: half a camera with its mount and lens."""
 _CAMERA_M = 0.1  # [m] side of the cube that moves keep clear of
 _DRAWN_POWER = 7  # binary logarithm of the places tried
 _REFINED = 5  # of them are improved
@@ -45,7 +45,7 @@ _STEPS = 40  # steps of each
 _SPREAD = (0.25, 0.01)
 """First and last standard deviation of a step, as a share of the ranges and of the workspace's size."""
 _LOOKED_AT = 600
-"""Poses in reach that the search looks at; the last choice looks at all."""
+"""Number of poses in reach that the search uses; the final choice uses all."""
 _NOISE = (1e-4, 1e-4)  # [m], [rad] of the design before a camera's covariance is known
 _DIGITS = 3  # places and directions are rounded to millimetres, as a file states them and a person measures them
 
@@ -149,7 +149,7 @@ class CameraSite:
         return replace(self, reach=reach, design=_take_poses(self.design, index))
 
     def find_seen(self, camera: Camera) -> tuple[np.ndarray, dict[str, int]]:
-        """Return which poses in reach (n,) a camera sees, and why not the others, with their number."""
+        """Return the poses in reach (n,) that a camera sees, and the reasons why others are not seen, with their number."""
         why = camera.reasons(self.reach.tool)
         left = np.flatnonzero(why == SEEN)
         tool, q = self.reach.tool.take(left), self.reach.q[left]
@@ -192,7 +192,7 @@ def build_camera_site(
     workspace: np.ndarray,
     **known: Any,
 ) -> CameraSite:
-    """Return what decides about a camera's place.
+    """Return the data that determine a camera's place.
 
     Args:
         camera: As given.
@@ -200,7 +200,7 @@ def build_camera_site(
         reach: Poses of the robot.
         demands: Obstacles, and whether the robot's own solids count.
         workspace: Positions (M, na) where accuracy counts.
-        **known: Of `build_design`: fix, free, device, tool, weighted.
+        **known: Arguments of `build_design`: fix, free, device, tool, weighted.
     """
     noise = _NOISE if camera.turned else _NOISE[:1]
     design = build_design(geometry, reach.q, noise, frames=camera.frames, workspace=workspace, **known)
@@ -310,7 +310,7 @@ def place_camera(
 
 
 def _stand(camera: Camera, place: np.ndarray, look_at: np.ndarray) -> Camera:
-    """Return a camera that is at a place and looks at a point."""
+    """Return a camera placed at a point and directed at another."""
     return replace(camera, pose=build_camera_frame(place, look_at, np.array(camera.up)))
 
 
@@ -378,7 +378,7 @@ class _Search:
         return found
 
     def draw(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield places spread over the ranges; every other looks at the middle of what faces it, the rest at one target."""
+        """Yield places spread over the ranges; half look at the middle of the targets that face them, half at one target."""
         even = qmc.Sobol(3, scramble=False).random_base2(_DRAWN_POWER)
         for k, share in enumerate((even + self.rng.random(3)) % 1.0):  # Cranley & Patterson 1976
             place = self.round(self.low + share * (self.high - self.low))
@@ -403,7 +403,7 @@ class _Search:
         return bool(((place >= self.low) & (place <= self.high)).all())
 
     def improve(self, value: float, stand: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Return a place and a point looked at after random steps, each kept where it is better."""
+        """Return a place and a point looked at after random steps, each kept if it is better."""
         for step in np.geomspace(*_SPREAD, _STEPS):
             place = self.round(stand[0] + step * (self.high - self.low) * self.rng.standard_normal(3))
             look_at = np.round(stand[1] + step * self.size * self.rng.standard_normal(3), _DIGITS)
