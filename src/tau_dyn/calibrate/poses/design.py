@@ -245,7 +245,7 @@ def _target_slopes(
     """Return derivatives of the first target's pose in the base frame by the free unknowns (N, 6, f), and where it exists (N,).
 
     No measurement shows where the base is, so the motion of the whole robot that changes its positions least is taken out, and
-    its size where it is not `sized`.
+    its size if it is not `sized`.
     """
     theta, setup = geometry.parameters.values, np.zeros(len(q), int)
     found = geometry.forward(theta, q)

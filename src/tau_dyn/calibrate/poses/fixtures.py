@@ -362,7 +362,7 @@ _KEYS = {
     "sphere": ("radius", "obstacle"),
     "encoder": (),
 }
-"""Keys of each kind besides kind, name, position, noise and target."""
+"""Keys of each kind in addition to kind, name, position, noise and target."""
 
 
 def _read_fixture(content: Any, where: str, target: np.ndarray) -> Fixture:
