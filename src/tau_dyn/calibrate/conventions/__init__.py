@@ -1,4 +1,4 @@
-"""How a pose file counts, orders and turns its numbers: readings without parameters, tried before any geometry is fitted."""
+"""Conventions of a pose file (signs, order, units, axes): readings without parameters, tried before any geometry is fitted."""
 
 from lazy_loader import attach_stub
 

@@ -1,8 +1,8 @@
 """A column map for a pose file: its columns by their names, and its conventions as far as a map can state them.
 
 Signs, zeros, units and exchanged columns of joints and positions are one column each, `ours = scale * theirs + offset`: the
-reading that was found is applied to unit vectors, which gives both. The order of a quaternion is one of names. Rows that are
-shifted, inverse poses and kinds of angles are no columns; `calibrate` finds them by itself. The map is read back before it is
+reading that was found is applied to unit vectors, which gives both. The order of a quaternion is an order of names. A map cannot
+state shifted rows, inverse poses and kinds of angles; `calibrate` finds them by itself. The map is read back before it is
 proposed.
 """
 
@@ -36,7 +36,7 @@ _OF_LOGS = {"tau", "torque", "effort", "force", "current", "cmd", "ref"}
 def build_pose_proposal(
     path: str | Path, robot: Robot, find: Callable[[PoseSet], FoundReading | None]
 ) -> ColumnProposal | None:
-    """Return the map proposed for a pose file, None where a file holds no poses of a robot.
+    """Return the map proposed for a pose file, None if the file holds no poses of a robot.
 
     Args:
         path: CSV or Parquet.
@@ -77,7 +77,7 @@ def build_pose_proposal(
 
 
 def _can_be_stated(change: PoseReading) -> bool:
-    """Return whether a map can state a change."""
+    """Return whether a column map can state a change."""
     return change.cause == "quaternion_order" or (
         change.acts_on in ("joints", "positions") and change.cause not in ("row_shift", "")
     )
@@ -95,7 +95,7 @@ def _apply(reading: Reading, plain: Mapping[str, Source], joints: list[str]) -> 
 
 
 def _apply_to_joints(reading: Reading, plain: Mapping[str, Source], joints: list[str]) -> dict[str, Source]:
-    """Return all columns, those of the joints after a reading."""
+    """Return all columns, with the joints' columns after a reading."""
     n = len(joints)
     of_joints = tuple(change for change in reading if change.acts_on == "joints")
     q = np.vstack([np.zeros((1, n)), np.eye(n)])
@@ -103,7 +103,7 @@ def _apply_to_joints(reading: Reading, plain: Mapping[str, Source], joints: list
 
 
 def _carry(plain: Mapping[str, Source], names: Sequence[str], values: np.ndarray) -> dict[str, Source]:
-    """Return the columns of names that are there, from what a reading makes of zero and of unit vectors (n + 1, n)."""
+    """Return the columns of names that are there, from the images of zero and of unit vectors under a reading (n + 1, n)."""
     if not set(names) <= set(plain):
         return {}
     out, offset, slope = {}, values[0], (values[1:] - values[0]).T
@@ -115,7 +115,7 @@ def _carry(plain: Mapping[str, Source], names: Sequence[str], values: np.ndarray
 
 
 def _list_speeds(reading: Reading, columns: Container[str], joints: list[str]) -> dict[str, Source]:
-    """Return the columns of the joints' speeds after a reading, none where they are not there: they have no offset."""
+    """Return the columns of the joints' speeds after a reading, empty if the file has no speeds: they have no offset."""
     speeds = [name.replace("q_", "v_", 1) for name in joints]
     if not all(name in columns for name in speeds):
         return {}

@@ -1,4 +1,4 @@
-"""Readings of a pose file: changes without parameters of how joints count and how poses are written.
+"""Readings of a pose file: changes without parameters of the joints' and the poses' conventions.
 
 A change acts on measured poses and names its cause; a reading is a tuple of changes, applied in order. Joints: sign, quarter
 turns of the zero, exchanged columns, degrees or millimetres. Poses: exchanged or reversed axes, unit, order of the quaternion,
@@ -19,7 +19,7 @@ from tau_dyn.calibrate.measured import POSITION, PoseSet
 from tau_dyn.exceptions import InputError
 
 _MAX_ROW_SHIFT = 2
-"""Rows by which joints and poses may be shifted: a header or a first pose counted in one table only makes one, rarely two."""
+"""Largest shift of rows between joints and poses: a header or a first pose counted in one table only gives one, rarely two."""
 _MAX_JOINTS_FOR_ALL_SIGNS = 7
 """Joints up to which every combination of signs is a reading of its own: 127 of an arm with seven joints."""
 _POSITION_UNITS = {"mm": 1e-3, "cm": 1e-2, "inch": 0.0254}
@@ -31,12 +31,12 @@ class PoseReading:
     """One change of how a file is read.
 
     Attributes:
-        cause: As results name it.
-        joints: Joints that it is about.
-        words: What the file does, as a clause.
-        apply: Returns the poses as they are meant.
+        cause: Name in results.
+        joints: Joints that it changes.
+        words: Clause that describes the file.
+        apply: Function that returns the poses in the intended convention.
         unit: Metres of the unit of the file's positions.
-        acts_on: What it changes: `joints`, `positions`, `orientations`, or `poses` (positions by orientations).
+        acts_on: Part that it changes: `joints`, `positions`, `orientations`, or `poses` (positions by orientations).
     """
 
     cause: str
@@ -48,7 +48,7 @@ class PoseReading:
 
     @property
     def place(self) -> tuple[str, tuple[str, ...]]:
-        """The cause and its joints, of which a reading holds one each."""
+        """The cause and its joints; a reading has at most one change for each."""
         return self.cause, self.joints
 
 
@@ -56,7 +56,7 @@ Reading = tuple[PoseReading, ...]
 
 
 def apply_reading(reading: Reading, poses: PoseSet) -> PoseSet:
-    """Return the poses as a reading takes them."""
+    """Return the poses after the changes of a reading."""
     for change in reading:
         poses = change.apply(poses)
     return poses
@@ -66,7 +66,7 @@ def apply_reading_alike(reading: Reading, poses: PoseSet) -> PoseSet:
     """Return held-out poses with those changes of a reading that apply to them.
 
     Raises:
-        InputError: They have positions without the orientations by which the reading changes those.
+        InputError: The poses lack orientations by which the reading changes positions.
     """
     for change in reading:
         if not poses.measures_poses and change.acts_on != "joints":
@@ -88,7 +88,7 @@ def list_readings(poses: PoseSet, joints: Sequence[str], units: Sequence[str], *
     Args:
         poses: Measured poses.
         joints: Actuated joints.
-        units: Of their positions, `rad` or `m` each.
+        units: Units of their positions, `rad` or `m` each.
         turns: Whether the robot's tool can turn, so that measured orientations count.
     """
     oriented = turns and poses.rotation is not None
@@ -145,7 +145,7 @@ def _list_joint_changes(joints: Sequence[str], units: Sequence[str]) -> list[Pos
 
 
 def _unit_groups(index: list[int]) -> list[list[int]]:
-    """Return all joints of a kind, then each alone."""
+    """Return all joints of a kind as one group, then each joint alone."""
     return [index, *([one] for one in index if len(index) > 1)] if index else []
 
 
@@ -218,7 +218,7 @@ def _list_shifts(poses: PoseSet) -> list[PoseReading]:
         count = f"{abs(rows)} row{'s' if abs(rows) > 1 else ''}"
         words = f"the joints' rows are {count} {'later' if rows > 0 else 'earlier'} than the poses they belong to (row shift)"
         changes.append(PoseReading("row_shift", (), words, shift(rows)))
-    recorded = bool(poses.acceleration.any())  # whose rows are shifted by a time
+    recorded = bool(poses.acceleration.any())  # rows of a recording are shifted by a time
     return [] if recorded else [change for change in changes if poses.n > 4 * _MAX_ROW_SHIFT]
 
 
@@ -254,7 +254,7 @@ def _list_orientation_changes(poses: PoseSet) -> list[PoseReading]:
 
 def _roll_quaternion(poses: PoseSet) -> PoseSet:
     assert poses.rotation is not None
-    if poses.angles is not None:  # held-out poses that are written otherwise
+    if poses.angles is not None:  # held-out poses in another format
         return poses
     return replace(
         poses,
@@ -289,7 +289,7 @@ ANGLE_KINDS = {
 
 def _read_angles(kind: str, unit: str) -> PoseReading:
     def apply(poses: PoseSet) -> PoseSet:
-        if poses.angles is None:  # held-out poses that are written otherwise
+        if poses.angles is None:  # held-out poses in another format
             return poses
         return replace(poses, rotation=turn_by_angles(poses.angles, ANGLE_KINDS[kind], degrees=unit == "deg"))
 

@@ -5,7 +5,7 @@ r"""The distance between measured poses and a robot of nominal dimensions, with 
 With orientations, `R_D` and `R_T` maximise `sum tr(R_m' R_D R R_T)`, which depends on the poses through one 9 x 9 matrix
 (Procrustes steps in turn, from all 24 quarter turns of the target); a turn that they do not show is found by the positions.
 With positions alone, `p = A p_m + c - R p_T` is linear in an unconstrained `A`, whose nearest rotation is `R_D'`. Both then
-leave `p_D` and `p_T` to linear least squares. The worst fifth of the poses takes no part (least trimmed squares), so that gross
+leave `p_D` and `p_T` to linear least squares. The worst fifth of the poses is left out (least trimmed squares), so that gross
 outliers do not decide. References: Dornaika & Horaud 1998 (robot and world frames); Umeyama 1991; Rousseeuw 1984.
 """
 
@@ -23,35 +23,35 @@ from tau_dyn.calibrate.measured import PoseSet, measure_spread
 from tau_dyn.mechanism import Poses
 
 _TRIMMED_SHARE = 0.2
-"""Share of the poses that take no part: the largest share that counts as outliers elsewhere in this room."""
+"""Share of the poses that are left out: the largest share that counts as outliers elsewhere in this room."""
 _CONCENTRATION_STEPS = 1
 """Fits after the first, without the worst poses of the one before: two fits rank readings as their limit does."""
 _FIRST_STEPS = 3
-"""Steps from every start before the best is followed."""
+"""Steps from every start before only the best is continued."""
 _NEWTON_STEPS = 5
 """Gauss-Newton steps from there; they converge quadratically."""
 _BLIND = 1e-6
-"""Share of the largest singular value below which a turn of both frames cannot be seen."""
+"""Share of the largest singular value below which a turn of both frames is not identifiable."""
 _WEAK = 0.03
-"""Share of the largest singular value below which positions tell a turn better: orientations 20 mrad off move it by a radian."""
+"""Share of the largest singular value below which positions determine a turn better: errors of 20 mrad move it by a radian."""
 _TURNS = 24
 """Starts of a turn about an axis that orientations do not show."""
 _TURN_TOL = 1e-6  # [rad]
 _PROCRUSTES_STEPS = 12
-"""Steps of the device's and the target's orientation in turn; the error left falls by a constant factor in each."""
+"""Steps of the device's and the target's orientation in turn; the residual falls by a constant factor in each."""
 _MIN_POSES = 8
-"""Poses of one device and one target from which the 15 unknowns of the linear start are over-determined with fifth trimmed."""
+"""Least poses of one device and target: the 15 unknowns of the linear start are then over-determined with a fifth trimmed."""
 
 
 class Misfit(NamedTuple):
     """Trimmed rms errors of a robot with nominal dimensions.
 
     Attributes:
-        position: Of the measured positions [m].
-        rotation: Of the orientations [rad], None where none are compared.
+        position: Error of the measured positions [m].
+        rotation: Error of the orientations [rad], None if orientations are not compared.
         spread: Rms distance of the robot's own tool positions from their middle [m].
-        distances: Of every pose that was compared (N,) [m].
-        angles: Of its orientation (N,) [rad], None where none are compared.
+        distances: Error of every pose that was compared (N,) [m].
+        angles: Error of its orientation (N,) [rad], None if orientations are not compared.
         unit: Metres of the unit in which the file has positions: likelihoods are of the numbers as written.
     """
 
@@ -127,7 +127,10 @@ def _measure_group(poses: PoseSet, nominal: Poses, turns: bool) -> tuple[np.ndar
 
 
 def _place_without_turns(poses: PoseSet, nominal: Poses, used: np.ndarray) -> tuple[np.ndarray, None]:
-    """Return distances (N,) for a tool that keeps its orientation; where the target is on it the device's place makes up for."""
+    """Return distances (N,) for a tool that keeps its orientation.
+
+    The device's place compensates for the target's place on the tool.
+    """
     frame = align(poses.position[used], nominal.position[used])
     return np.linalg.norm(poses.position - frame.translation - nominal.position @ frame.rotation.T, axis=1), None
 

@@ -1,8 +1,8 @@
-"""The reading of a pose file with which the robot file fits: found without parameters, then applied and named.
+"""The reading of a pose file with which the robot file fits: found without parameters, then applied and reported.
 
-The robot file's dimensions, with device and targets placed in closed form, are compared at every reading of one cause; where
-none is enough, the best are combined. `evidence/readings.py` decides whether one is taken; the robot file then misses the poses
-by no more than a machine is built off its drawing.
+The robot file's dimensions, with device and targets placed in closed form, are compared at every reading of one cause; if no
+single reading is enough, the best are combined. `evidence/readings.py` decides whether one is taken; the robot file then misses
+the poses by no more than a machine is built off its drawing.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ _ALIKE_RAD = 2.0
 _TEST = ReadingTest(np.array([1.0, _ALIKE_RAD]), model_error=0.01, max_good_share=0.05)
 """Errors over the spread of the tool: an arm out of the box has 0.002, joints 20 mrad off move a tool by 0.05."""
 _MAX_DIMENSIONS_SHARE = 0.15
-"""The same as written up to which fitted dimensions are asked as well whether they explain it: three times as much."""
+"""Largest error as written, over the spread, at which fitted dimensions are tried: three times `max_good_share`."""
 _MAX_CAUSES = 3
-"""Causes in one file; more are another file's."""
+"""Largest number of causes in one file; more indicate a wrong file."""
 _BRANCHES = 3
 """Best readings that are combined with every further cause."""
 _MAX_POSES = 60
-"""Poses that the readings are compared at; more do not tell them apart better."""
+"""Number of poses at which the readings are compared; more do not separate them better."""
 _FIRST_POSES = 8
-"""Poses that are computed first: a robot with loops that reaches fewer than half of them is not asked for the others."""
+"""Poses that are computed first: if a robot with loops reaches fewer than half of them, the others are not computed."""
 _DRAWS = 200
 """Bootstrap draws of a gain's interval; orders of magnitude need no finer ends."""
 _LIMIT_MARGIN = 0.05
@@ -50,14 +50,14 @@ _LIMIT_MARGIN = 0.05
 
 @dataclass(frozen=True, eq=False)
 class FoundReading:
-    """How a file is meant.
+    """Intended convention of a file.
 
     Attributes:
-        reading: Changes, in order; none where the file is read as it is written.
-        alike: Readings that such poses do not tell from it.
+        reading: Changes, in order; empty if the file is read as it is written.
+        alike: Readings that such poses cannot distinguish from it.
         written: Misfit as the file is written.
-        meant: Misfit as it is meant.
-        n_tried: Readings that were compared.
+        meant: Misfit in the intended convention.
+        n_tried: Number of readings that were compared.
     """
 
     reading: Reading
@@ -67,7 +67,7 @@ class FoundReading:
     n_tried: int
 
     def apply(self, poses: PoseSet) -> PoseSet:
-        """Return poses as the file means them."""
+        """Return poses in the intended convention."""
         return apply_reading(self.reading, poses)
 
     def apply_alike(self, poses: PoseSet) -> PoseSet:
@@ -79,7 +79,7 @@ class FoundReading:
         return apply_reading_alike(self.reading, poses)
 
     def compute_gain(self, seed: int = 0) -> Gain:
-        """Return what it gains, with the robot file's dimensions; the interval is by bootstrap over poses."""
+        """Return the gain of the reading, with the robot file's dimensions; the interval is by bootstrap over poses."""
         p_value = float(np.exp(-self.meant.n_numbers * np.log(self.written.value / max(self.meant.value, 1e-300))))
         rng = np.random.default_rng(seed)
         if not np.isfinite(self.written.value):
@@ -95,7 +95,7 @@ class FoundReading:
         )
 
     def describe(self, source: str) -> str:
-        """Return it as a sentence."""
+        """Return the reading as a sentence."""
         said = "; ".join(change.words for change in self.reading)
         others = [" and ".join(c.words for c in one) for one in self.alike[:3]]
         alike = f"; the same poses also mean that {' or that '.join(others)}" if others else ""
@@ -142,22 +142,22 @@ class _Search:
         return self.known[key]
 
     def place_all(self, readings: Sequence[Reading]) -> None:
-        """Place the robot at the positions of many readings at once: each walk through the workspace then serves all."""
+        """Place the robot at the positions of many readings at once, so that each path through the workspace serves all."""
         every = [self._read(reading).q for reading in readings if _get_key(reading) not in self.known]
         every = [q for q in every if not is_far_beyond(q, self.limits)]
         try:
             self._place_together([q[:_FIRST_POSES] for q in every])
             self._place_together([q for q in every if _is_reached(self._place(q[:_FIRST_POSES]))])
         except (TauDynError, np.linalg.LinAlgError):
-            return  # `measure` asks for each by itself, and finds which one it was
+            return  # `measure` computes each by itself, and finds the faulty one
 
     def _read(self, reading: Reading) -> PoseSet:
-        """Return the poses that are compared, as a reading means them."""
+        """Return the poses that are compared, after a reading."""
         poses = apply_reading(reading, self.poses)
         return poses.take(self.compared[self.compared < poses.n])
 
     def _place_together(self, parts: Sequence[np.ndarray]) -> None:
-        """Remember the tool poses at several sets of joint positions (N, na)."""
+        """Store the tool poses at several sets of joint positions (N, na)."""
         new = {q.tobytes(): q for q in parts if q.tobytes() not in self.placed}
         if not new:
             return
@@ -169,9 +169,9 @@ class _Search:
             self.placed[key] = Predicted(at, found.ok[part], found.reason[part])
 
     def fit(self, reading: Reading) -> ReadingFit | None:
-        """Return the misfit of a reading as `evidence` compares it; None where the robot is not placed or stands still."""
+        """Return the misfit of a reading as `evidence` compares it; None if the robot is not placed or does not move."""
         found = self.measure(reading)
-        if not (np.isfinite(found.position) and found.spread > 0):  # a robot that stands still explains no pose
+        if not (np.isfinite(found.position) and found.spread > 0):  # a robot that does not move explains no pose
             return None
         size = self.poses.spread if found.rotation is None else np.sqrt(self.poses.spread * _ALIKE_RAD)
         log_p = found.n_numbers * float(np.log(size / max(found.value, 1e-300)))
@@ -179,7 +179,7 @@ class _Search:
         return ReadingFit(log_p, log_p, power, 0.0, found.distances[:, None])
 
     def compute_log_p(self, reading: Reading) -> float:
-        """Return the log-likelihood of a reading [nats]; a robot that explains nothing has 0."""
+        """Return the log-likelihood of a reading [nats]; a robot that explains no part of the poses has 0."""
         fit = self.fit(reading)
         return 0.0 if fit is None else fit.log_p
 
@@ -189,7 +189,7 @@ class _Search:
         return fit is not None and bool(np.all(fit.power <= (share * _TEST.size) ** 2))
 
     def _measure(self, poses: PoseSet) -> Misfit:
-        """Return the misfit of poses as they are meant."""
+        """Return the misfit of poses in the intended convention."""
         if is_far_beyond(poses.q, self.limits):
             return UNREACHED
         if not _is_reached(self._place(poses.q[:_FIRST_POSES])):
@@ -204,12 +204,12 @@ class _Search:
 
 
 def _get_key(reading: Reading) -> frozenset[int]:
-    """Return what tells a reading from others, whatever the order of its changes."""
+    """Return the key that identifies a reading, whatever the order of its changes."""
     return frozenset(id(change) for change in reading)
 
 
 def _is_reached(first: Predicted) -> bool:
-    """Return whether a robot reaches enough of the first poses to be asked for the others."""
+    """Return whether a robot reaches enough of the first poses to compute the others."""
     return bool(2 * first.ok.sum() >= len(first.ok))
 
 
@@ -231,13 +231,14 @@ def is_far_beyond(q: np.ndarray, limits: tuple[np.ndarray, np.ndarray]) -> bool:
 def find_reading(
     geometry: Geometry, poses: PoseSet, limits: tuple[np.ndarray, np.ndarray], fit: Callable[[PoseSet], float]
 ) -> FoundReading | None:
-    """Return how a file is meant, None where it is read as it is written.
+    """Return the intended convention of a file, None if it is read as it is written.
 
     Args:
         geometry: The robot with its file's dimensions.
         poses: Poses as written.
         limits: Lower and upper limits of the joints (na,).
-        fit: Returns the error level that the robot's dimensions leave of poses; asked where dimensions may explain the misfit.
+        fit: Function that returns the error level of poses after a fit of the robot's dimensions; called if these may explain the
+            misfit.
     """
     search = _Search(geometry, poses, limits)
     if search.is_plausible((), _TEST.model_error):
@@ -263,7 +264,7 @@ def find_reading(
 
 
 def _join(base: Reading, more: Reading) -> Reading | None:
-    """Return a reading with more changes, None where it has one of their places already."""
+    """Return a reading with more changes, None if it already changes the same place."""
     places = {change.place for change in base}
     return None if any(change.place in places for change in more) else (*base, *more)
 

@@ -1,4 +1,4 @@
-"""What was measured for calibration: poses, distances and touches, how they are read, and how far predictions are from them."""
+"""Measurements for calibration: poses, distances and touches, their reading from files, and the errors of predictions."""
 
 from lazy_loader import attach_stub
 

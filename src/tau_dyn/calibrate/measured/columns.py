@@ -1,4 +1,4 @@
-"""Columns of pose files under the names that controllers and devices give them, brought to ours.
+"""Columns of pose files with the names of controllers and devices, mapped to our names.
 
 Positions `x y z`, `tcp_x`, `x_mm`; orientations as quaternions `qx qy qz qw`, as rotation vectors `rx ry rz` (UR), or as angles:
 `roll pitch yaw` and `w p r` (FANUC) about fixed x, y, z; `a b c` (KUKA) about z, y', x''. Endings `_mm`, `_deg` give units.
@@ -46,7 +46,7 @@ _TRIPLES = (
 
 
 def find_pose_columns(table: Table, joints: Sequence[str], passive: Sequence[str] = ()) -> dict[str, str]:
-    """Return the foreign column of each of our names that a table lacks, of groups that it has whole."""
+    """Return the foreign column of each of our names that a table lacks, for groups whose columns are all present."""
     found: dict[str, str] = {}
     groups = (
         *(([f"q_{joint}" for joint in some], _find_joint) for some in (joints, passive)),
@@ -79,7 +79,7 @@ def name_pose_columns(table: Table, joints: Sequence[str], passive: Sequence[str
 
 
 def _find_by(pattern: re.Pattern[str], letter: int) -> Callable[[str, dict[str, np.ndarray]], str]:
-    """Return what finds the one column whose name fits a pattern with the letter of our name."""
+    """Return a function that finds the one column whose name fits a pattern with the letter of our name."""
 
     def find(name: str, cells: dict[str, np.ndarray]) -> str:
         hits = [c for c in cells if (m := pattern.match(_strip_unit(c))) and m[1] == name[letter]]
@@ -107,7 +107,7 @@ def _find_angle(name: str, cells: dict[str, np.ndarray]) -> str:
 
 
 def _find_triple(cells: dict[str, np.ndarray]) -> tuple[dict[str, str], _Triple]:
-    """Return the columns of three angles by our names, and their kind; no columns where a kind is incomplete."""
+    """Return the columns of three angles by our names, and their kind; no columns if a kind is incomplete."""
     plain = {_strip_unit(c).removeprefix("tcp_").removesuffix("_tool").removesuffix("_tcp"): c for c in cells}
     for triple in _TRIPLES:
         if all(name in plain for name in triple.names):
@@ -121,7 +121,7 @@ def _strip_unit(column: str) -> str:
 
 
 def get_unit_factor(column: str) -> float:
-    """Return what brings a column to SI units by the end of its name."""
+    """Return the factor that converts a column to SI units, from the end of its name."""
     found = _UNIT_END.search(column.strip().lower())
     return _UNIT_FACTORS[found[1]] if found else 1.0
 

@@ -1,7 +1,7 @@
-r"""Encoders of passive joints in loops: rows that measure a joint's position beside, or instead of, the tool.
+r"""Encoders of passive joints in loops: rows that measure a joint's position in addition to, or instead of, the tool.
 
-Of an angle the arc `r (psi + zero)` counts, with `r` the distance at which its joint moves the tool, so that errors of encoders
-and of the tool compare. The zero of each encoder is unknown. Angles alone show no lengths, only their ratios. Reference:
+An angle counts as the arc `r (psi + zero)`, with `r` the distance at which its joint moves the tool, so that errors of encoders
+and of the tool are comparable. The zero of each encoder is unknown. Angles alone show no lengths, only their ratios. Reference:
 Hollerbach, Khalil & Gautier 2016, 6.2 (self-calibration by redundant sensors).
 """
 
@@ -20,20 +20,20 @@ from tau_dyn.mechanism import Poses, compute_frames
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.robot import Robot
 
-_MIN_RADIUS = 1e-3  # [m] of an arc, where all joints with encoders sit at the tool
+_MIN_RADIUS = 1e-3  # [m] of an arc, if all joints with encoders are at the tool
 _READINGS = {
     "counts the other way than the robot file": -1.0,
     "is in degrees": np.pi / 180,
     "is in degrees and counts the other way than the robot file": -np.pi / 180,
 }
 _MIN_SCATTER_RATIO = 3.0
-"""Scatter about the nominal robot over that of another reading, above which an encoder is read otherwise than it is written."""
+"""Ratio of the scatter about the nominal robot to that of another reading, above which the other reading is used."""
 
 
 def predict_measured(
     geometry: Geometry, theta: np.ndarray, poses: PoseSet, q: np.ndarray, start: Poses | None = None
 ) -> Predicted:
-    """Return tool poses at the positions `q` (N, na) of measured poses; of an encoder its arc or travel along x."""
+    """Return tool poses at the positions `q` (N, na) of measured poses; for an encoder its arc or travel along x."""
     geometry, rows = geometry.under(poses.loads), poses.of_encoders
     found = geometry.forward(theta, q, start)
     if not rows.any():
@@ -76,7 +76,7 @@ def _replace_rows(tool: np.ndarray, poses: PoseSet, find: Callable[[list[str]], 
 
 
 def _list_encoders(poses: PoseSet) -> tuple[list[str], np.ndarray]:
-    """Return the joints that have encoders, and which of them each of their rows measures (n,)."""
+    """Return the joints that have encoders, and the index of the joint that each row measures (n,)."""
     device = poses.device[poses.of_encoders]
     numbers = np.unique(device)
     return [poses.devices[k] for k in numbers], np.searchsorted(numbers, device)
@@ -100,7 +100,7 @@ class PassiveEncoders:
 
         Raises:
             InputError: The robot has no loops, or a joint is driven.
-            UnknownName: There is no such passive joint.
+            UnknownName: The robot has no passive joint of that name.
         """
         driven = [joint for joint in joints if joint in robot.actuated]
         if driven:
@@ -118,7 +118,7 @@ class PassiveEncoders:
         return cls({name: "travel" if of[name].slides else "angle" for name in joints}, max(radius, _MIN_RADIUS))
 
     def measure(self, joint: str, values: np.ndarray, rows: PoseSet) -> PoseSet:
-        """Return what the encoder of a joint read.
+        """Return the readings of a joint's encoder.
 
         Args:
             joint: Its name.
@@ -140,9 +140,9 @@ class PassiveEncoders:
 
 
 def read_encoders_as_meant(robot: Robot, poses: PoseSet) -> tuple[PoseSet, tuple[str, ...]]:
-    """Return poses with encoders counting as the robot file does, and a warning for each that is read otherwise than written.
+    """Return poses with encoders in the convention of the robot file, and a warning for each whose reading was changed.
 
-    The sign, degrees and whole turns are those at which an encoder scatters least about the robot file's positions.
+    The sign, unit and whole turns are those with the least scatter of the encoder about the robot file's positions.
     """
     rows = poses.of_encoders
     if not rows.any():
@@ -176,7 +176,7 @@ def _find_middle(off: np.ndarray, turn: float) -> float:
 
 
 def _measure_scatter(off: np.ndarray, turn: float) -> float:
-    """Return the median distance of differences (n,) from their middle, whole turns apart."""
+    """Return the median distance of differences (n,) from their middle, modulo whole turns."""
     if not np.isfinite(turn):
         return float(np.median(np.abs(off - np.median(off))))
     off = off - _find_middle(off, turn)

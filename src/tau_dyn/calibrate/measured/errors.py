@@ -1,7 +1,7 @@
-"""How far measured poses are from predicted ones, and how exact they are, known from outside the fit.
+"""Errors between measured and predicted poses, and the measurement noise, known independently of the fit.
 
-The measurement noise is as stated, by columns of the file, or from repeated poses. What a fit leaves is no measure of it: a model
-that lacks an effect leaves more, and would be judged by its own error.
+The measurement noise is as stated, by columns of the file, or from repeated poses. The residuals of a fit do not measure it: a
+model that lacks an effect has larger residuals, and would be judged by its own error.
 """
 
 from __future__ import annotations
@@ -28,17 +28,18 @@ class ErrorSize(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PoseErrors(Brief):
-    """Measured minus predicted.
+    """Measured minus predicted poses.
 
     Attributes:
         position: (N, 3) [m] in the device's axes, nan where the model reaches no pose.
-        rotation: Rotation vectors (N, 3) [rad] in the device's axes, None where no orientation was measured.
-        relative: Stated standard errors of the measurements over their median (N, 6), None where none are stated.
-        configuration: Which poses have the same joint positions (N,), None where all differ; such poses are no independent ones.
+        rotation: Rotation vectors (N, 3) [rad] in the device's axes, None if no orientation was measured.
+        relative: Stated standard errors of the measurements over their median (N, 6), None if not stated.
+        configuration: Which poses have the same joint positions (N,), None if all differ; poses with the same joint positions are
+            not independent.
         oriented: Whether the model predicts orientation, so that it counts in comparisons.
         numbers: Independent numbers of each position (N,); three unless given.
         of_tool: Which rows are errors of the tool (N,), all unless given; the others are arcs of passive joints, which count in
-            sizes only where there is nothing else.
+            sizes only if there are no errors of the tool.
     """
 
     position: np.ndarray
@@ -77,11 +78,11 @@ class PoseErrors(Brief):
         return None if angle is None else _size(angle)
 
     def to_dict(self) -> dict[str, object]:
-        """Return the contract's `{position, orientation}`; orientation is None where none was measured."""
+        """Return the contract's `{position, orientation}`; orientation is None if it was not measured."""
         return {"position": self.position_size, "orientation": self.orientation_size}
 
     def noise(self) -> tuple[float, float]:
-        """Return the rms of a coordinate [m] and of an angle [rad] (1 where there is none), at the median stated error."""
+        """Return the rms of a coordinate [m] and of an angle [rad] (1 if there is no error), at the median stated error."""
         position, angle = (self._weighted(k) for k in (0, 1))
         known = np.isfinite(position).all(axis=1)
         numbers = 3 * known.sum() if self.numbers is None else self.numbers[known].sum()
@@ -108,11 +109,11 @@ class PoseErrors(Brief):
 def compute_pose_errors(
     poses: PoseSet, seen: Poses, target: np.ndarray | None, *, own: bool, lengths: np.ndarray
 ) -> PoseErrors:
-    """Return measured minus predicted poses; of a distance or a touch along what was measured.
+    """Return measured minus predicted poses; a distance or a touch has an error along its measured direction only.
 
     Args:
-        poses: What was measured.
-        seen: What the device should have seen.
+        poses: Measured poses.
+        seen: Predicted poses of the target in the device's frame.
         target: Orientation of the target on a plate that keeps its own (3, 3).
         own: Whether the prediction has an orientation of its own.
         lengths: Offset or radius of each measurement (N,) [m].
@@ -141,7 +142,7 @@ def _size(x: np.ndarray) -> ErrorSize:
     return ErrorSize(float(x.mean()), float(np.sqrt(np.mean(x**2))), float(x.max()))
 
 
-_MIN_REPEATS = 5  # measurements beyond the first of their joints; the standard deviation is then known to a third
+_MIN_REPEATS = 5  # measurements beyond the first at the same joints; the standard deviation is then known to a third
 
 NoiseSource = Literal["stated", "columns", "repeats", "unknown"]
 
@@ -151,9 +152,9 @@ class MeasurementNoise:
     """Standard errors of a measured coordinate.
 
     Attributes:
-        source: Where they are from; `unknown` where nothing tells.
-        position: Of a coordinate [m], None where unknown.
-        orientation: About an axis [rad], None where unknown.
+        source: Where they are from; `unknown` if no source is available.
+        position: Standard error of a coordinate [m], None if unknown.
+        orientation: Standard error about an axis [rad], None if unknown.
     """
 
     source: NoiseSource
@@ -162,7 +163,7 @@ class MeasurementNoise:
 
 
 def estimate_measurement_noise(poses: PoseSet, accuracy: tuple[float, ...] = ()) -> MeasurementNoise:
-    """Return how exact poses are.
+    """Return the standard errors of measured poses.
 
     Args:
         poses: Measured poses.
@@ -185,7 +186,7 @@ def estimate_measurement_noise(poses: PoseSet, accuracy: tuple[float, ...] = ())
 def _from_repeats(poses: PoseSet) -> MeasurementNoise:
     """Return the pooled standard deviation of poses measured several times with the same joints and loads, in one campaign.
 
-    Touches repeat without scatter, whatever their noise. Encoders count where nothing of the tool was measured.
+    Touches repeat without scatter, whatever their noise. Encoders count only if no pose of the tool was measured.
     """
     poses = poses.take(~poses.touches & ~(poses.of_encoders & (not poses.of_encoders.all())))
     rows = np.column_stack([poses.configuration, poses.setup, poses.loads])

@@ -1,18 +1,18 @@
-r"""What a device or a fixture tells of the target: its place, its distance, or that it touches something.
+r"""Kinds of measurement of the target by a device or a fixture: its place, its distance, or a touch.
 
     pose      the position, perhaps with the orientation, in the frame of a tracker or a camera
-    hand_eye  the pose of what stands still, in the frame of a camera on the tool: R^T, -R^T p
-    distance  d = |p| + offset, from a point that stands still: wire, ball bar, laser interferometer
-    hole      p = 0: a pin stands in a hole, at any attitude
+    hand_eye  the pose of the stationary target, in the frame of a camera on the tool: R^T, -R^T p
+    distance  d = |p| + offset, from a stationary point: wire, ball bar, laser interferometer
+    hole      p = 0: a pin is in a hole, at any attitude
     plane     p_z = 0: a probe touches a plane
     sphere    |p| = radius: a probe touches a ball
     angle     an encoder of a passive joint of a loop, r (psi + zero): the arc at the radius r
     travel    the same of a passive slide
 
-`p` is the target in the frame of the device or fixture; of an encoder the joint's arc or travel along x. One number is told along
-one direction `u`: `p / |p|`, z of a plane, or x of an encoder.
-Its residual is a vector along `u`, and derivatives are projected onto `u`. So all kinds have three coordinates a pose, and noise
-that is equal along all axes needs no other treatment. Reference: Hollerbach, Khalil & Gautier 2016, 6.2 (partial poses).
+`p` is the target in the frame of the device or fixture; for an encoder, the joint's arc or travel along x. Kinds with one number
+measure along one direction `u`: `p / |p|`, z of a plane, or x of an encoder. The residual is a vector along `u`, and derivatives
+are projected onto `u`. So all kinds have three coordinates a pose, and noise that is equal along all axes needs no other
+treatment. Reference: Hollerbach, Khalil & Gautier 2016, 6.2 (partial poses).
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ class MeasurementKind(NamedTuple):
 
     Attributes:
         numbers: Independent numbers of a position.
-        axes: Which numbers of the frame it shows: x, y, z, rx, ry, rz.
-        length: Name of the length that it needs, '' where it needs none.
-        sign: Of that length in the residual.
-        unit: Of that length.
+        axes: Coordinates of the device's frame that it determines: x, y, z, rx, ry, rz.
+        length: Name of the length that it needs, '' if it needs no length.
+        sign: Sign of that length in the residual.
+        unit: Unit of that length.
     """
 
     numbers: int
@@ -64,7 +64,7 @@ def find_directions(kinds: Sequence[str], device: np.ndarray, seen: np.ndarray) 
 
     Args:
         kinds: Kind of each device or fixture.
-        device: Which of them each measurement has (N,).
+        device: Index of the device or fixture of each measurement (N,).
         seen: Predicted positions of the target in the frames of devices or fixtures (N, 3).
     """
     out = np.zeros_like(seen)
@@ -82,12 +82,12 @@ def find_directions(kinds: Sequence[str], device: np.ndarray, seen: np.ndarray) 
 def compute_position_residuals(
     kinds: Sequence[str], device: np.ndarray, measured: np.ndarray, seen: np.ndarray, lengths: np.ndarray
 ) -> np.ndarray:
-    """Return measured minus predicted (N, 3) [m], along the direction of the measurement where it has one.
+    """Return measured minus predicted (N, 3) [m], along the direction of the measurement if it has one.
 
     Args:
         kinds: Kind of each device or fixture.
-        device: Which of them each measurement has (N,).
-        measured: Positions (N, 3) [m]; a distance stands in the first coordinate.
+        device: Index of the device or fixture of each measurement (N,).
+        measured: Positions (N, 3) [m]; a distance is in the first coordinate.
         seen: Predicted positions of the target in the frames of devices or fixtures (N, 3) [m].
         lengths: Offset or radius of each measurement (N,) [m].
     """
@@ -113,11 +113,11 @@ def invert_columns(poses: Poses, columns: np.ndarray) -> np.ndarray:
 
 
 def project_columns(kinds: Sequence[str], device: np.ndarray, seen: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Return derivatives (N, m, p) of what is measured from those of the whole position; its rows come first.
+    """Return derivatives (N, m, p) of the measured quantity from those of the whole position; rows of position come first.
 
     Args:
         kinds: Kind of each device or fixture.
-        device: Which of them each measurement has (N,).
+        device: Index of the device or fixture of each measurement (N,).
         seen: Predicted positions of the target in the frames of devices or fixtures (N, 3) [m].
         columns: Derivatives of position and perhaps orientation (N, m, p).
     """

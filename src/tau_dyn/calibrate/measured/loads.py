@@ -1,7 +1,7 @@
 """Known loads on the tool in a pose file: a weight that hangs at the tool frame's origin, and a force and a moment on it.
 
 `load` [kg] pulls along gravity. `fx_tool fy_tool fz_tool` [N] and `mx_tool my_tool mz_tool` [N m] act on the tool in the robot's
-base axes, the force at the tool frame's origin: a cable, a press. A missing column and an empty cell mean none.
+base axes, the force at the tool frame's origin: a cable, a press. A missing column and an empty cell mean no load.
 """
 
 from __future__ import annotations
@@ -16,14 +16,15 @@ FORCE = ("fx_tool", "fy_tool", "fz_tool")
 MOMENT = ("mx_tool", "my_tool", "mz_tool")
 LOADS = (*LOAD, *FORCE, *MOMENT)
 _MAX_LOADS = {LOAD: 2e4, FORCE: 2e5, MOMENT: 2e5}
-"""[kg], [N], [N m] that no tool bears; more is a file in g, mN or N mm."""
+"""Largest accepted loads [kg], [N], [N m]; larger ones indicate a file in g, mN or N mm."""
 
 
 def read_loads(table: Table) -> np.ndarray:
-    """Return the loads of each row (N, 7), zeros where the table has none.
+    """Return the loads of each row (N, 7), zeros if the table has no loads.
 
     Raises:
-        InputError: Some of three components are missing, a cell is no number, a weight is below zero, or no tool bears a load.
+        InputError: Some of three components are missing, a cell is no number, a weight is below zero, or a load exceeds the
+            largest accepted value.
     """
     loads = np.zeros((table.n_rows, len(LOADS)))
     for names, largest in _MAX_LOADS.items():

@@ -1,4 +1,4 @@
-"""Measured poses: actuated positions and what a device or a fixture tells of the tool there, in its own frame."""
+"""Measured poses: actuated positions and the measurement of the tool there by a device or a fixture, in its own frame."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tau_dyn.mechanism import Poses
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.results import Brief
 
-_MAX_JOINT_DIFFERENCE = 1e-6  # [rad or m]; encoders of a standing robot repeat far better
+_MAX_JOINT_DIFFERENCE = 1e-6  # [rad or m]; encoders of a robot at rest repeat far better
 
 
 def measure_spread(position: np.ndarray) -> float:
@@ -36,31 +36,31 @@ class PoseSet(Brief):
 
     Attributes:
         q: Actuated positions (N, na) [m or rad].
-        position: Of the tool or target in the device's frame (N, 3) [m]; a distance, or an encoder's arc or travel, stands in
-            the first coordinate, and what touches is at zero.
-        rotation: Rotation matrices (N, 3, 3), None where only positions were measured; of an encoder the identity.
-        names: What each pose is called in messages (N,), such as `poses.csv, line 12`.
+        position: Position of the tool or target in the device's frame (N, 3) [m]; a distance, or an encoder's arc or travel, is
+            in the first coordinate, and a touching target is at zero.
+        rotation: Rotation matrices (N, 3, 3), None if only positions were measured; the identity for an encoder.
+        names: Name of each pose in messages (N,), such as `poses.csv, line 12`.
         campaign: Which measuring campaign each pose belongs to (N,), from 0; frames may have moved in between.
         campaigns: Names of the campaigns.
         target: Which target on the tool each pose was measured at (N,), from 0.
         targets: Names of the targets.
         device: Which device or fixture each pose was measured by (N,), from 0.
-        devices: Names of the devices and fixtures; of an encoder that of its joint.
-        kinds: What each of them tells, a name of `KINDS`.
+        devices: Names of the devices and fixtures; an encoder has the name of its joint.
+        kinds: Kind of measurement of each device or fixture, a name of `KINDS`.
         device_errors: Standard error of each of them over that of all (devices,); ones unless estimated.
-        approach: From which side each actuated joint came (N, na): +1, -1, or 0 where nobody knows.
-        speed: Of each actuated joint at the pose (N, na) [m/s or rad/s]; zeros where it stood still or nobody knows.
+        approach: Side from which each actuated joint came (N, na): +1, -1, or 0 if unknown.
+        speed: Speed of each actuated joint at the pose (N, na) [m/s or rad/s]; zero if it did not move or the speed is unknown.
         acceleration: The same (N, na) [m/s^2 or rad/s^2].
         jerk: The same (N, na) [m/s^3 or rad/s^3]; known with the acceleration, of a recording.
         loads: Weight that hangs at the tool [kg], force [N] and moment [N m] on it in the robot's base axes (N, 7).
-        position_stderr: Standard errors of the measured coordinates (N, 3) [m], None where none are stated.
-        rotation_stderr: Of the measured orientation about each axis (N,) [rad], None where none are stated.
-        angles: Three numbers of the orientation as written (N, 3), which `rotation` takes for rotation vectors; None where four
-            numbers or none are given.
+        position_stderr: Standard errors of the measured coordinates (N, 3) [m], None if not stated.
+        rotation_stderr: Standard error of the measured orientation about each axis (N,) [rad], None if not stated.
+        angles: Three numbers of the orientation as written (N, 3), which `rotation` takes for rotation vectors; None if four
+            numbers or no orientations are given.
         arc_radius: Radius at which angles of passive joints count as arcs [m].
         source: File, for messages.
-        sha256: Hash of the file, '' where there is none.
-        warnings: What was doubtful.
+        sha256: Hash of the file, '' if there is no file.
+        warnings: Warnings about doubtful data.
     """
 
     q: np.ndarray
@@ -89,7 +89,7 @@ class PoseSet(Brief):
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Fill in what was not given and refuse what does not fit together."""
+        """Fill in missing fields and refuse fields that do not fit together."""
         n = len(self.q)
         if np.ndim(self.q) != 2 or np.shape(self.position) != (n, 3):
             raise InputError(
@@ -158,12 +158,12 @@ class PoseSet(Brief):
 
     @property
     def shows_frames(self) -> bool:
-        """Whether one device measures poses or positions, in a frame of its own that they show; on the tool or beside it."""
+        """Whether one device measures poses or positions, in a frame of its own that they show; on the tool or off it."""
         return set(self.kinds) <= {"pose", "hand_eye"} and len(self.devices) == 1
 
     @property
     def touches(self) -> np.ndarray:
-        """Whether each measurement is that the target touches something (N,)."""
+        """Whether each measurement is a touch of the target (N,)."""
         return np.array([kind in TOUCHES for kind in self.kinds])[self.device]
 
     @property
@@ -173,14 +173,14 @@ class PoseSet(Brief):
 
     @property
     def of_encoders(self) -> np.ndarray:
-        """Whether an encoder of a passive joint measured each row (N,), and not the tool."""
+        """Whether each row (N,) is a measurement by an encoder of a passive joint, not of the tool."""
         return np.array([kind in ENCODERS for kind in self.kinds])[self.device]
 
     def hides_size(self, position_units: Sequence[str]) -> bool:
-        """Tell whether nothing measured shows the robot's size: touches, or angles between drives that turn.
+        """Return whether no measurement shows the robot's size: touches, or angles between drives that turn.
 
         Args:
-            position_units: Of the actuated joints, `m` or `rad` each.
+            position_units: Units of the actuated joints, `m` or `rad` each.
         """
         turns = set(position_units) == {"rad"}
         sizeless = [kind in TOUCHES or (kind == "angle" and turns) for kind in self.kinds]
@@ -188,7 +188,7 @@ class PoseSet(Brief):
 
     @property
     def length_factors(self) -> np.ndarray:
-        """What a unit of the device's length is in each measurement (N,) [m]: the radius of an angle's arc, or 1."""
+        """Effect of a unit of the device's length in each measurement (N,) [m]: the radius of an angle's arc, or 1."""
         return np.array([self.arc_radius if kind == "angle" else 1.0 for kind in self.kinds])[self.device]
 
     def count_numbers(self, m: int) -> np.ndarray:
@@ -201,7 +201,7 @@ class PoseSet(Brief):
         return np.array([kind == "hand_eye" for kind in self.kinds])[self.device]
 
     def as_poses(self) -> PoseSet:
-        """Return the set with what cameras on the tool saw as poses of the target in a frame that stands still."""
+        """Return the set with the observations of cameras on the tool as poses of the target in a stationary frame."""
         if not self.from_tool.any() or self.rotation is None:
             return self
         position, rotation = self._invert(Poses(self.position, self.rotation))
@@ -216,11 +216,11 @@ class PoseSet(Brief):
         return replace(known, position=position, rotation=rotation)
 
     def expect(self, seen: Poses) -> Poses:
-        """Return what is measured of the target's predicted poses in the frames of the devices (N)."""
+        """Return the predicted measurements from the target's predicted poses in the frames of the devices (N)."""
         return Poses(*self._invert(seen)) if self.from_tool.any() else seen
 
     def compute_position_residuals(self, seen: Poses, lengths: np.ndarray) -> np.ndarray:
-        """Return measured minus predicted positions (N, 3) [m], along what was measured.
+        """Return measured minus predicted positions (N, 3) [m], along the measured direction.
 
         Args:
             seen: The target's predicted poses in the frames of the devices (N).
@@ -230,7 +230,7 @@ class PoseSet(Brief):
         return compute_position_residuals(self.kinds, self.device, self.position, seen.position, lengths)
 
     def project_columns(self, seen: Poses, columns: np.ndarray) -> np.ndarray:
-        """Return derivatives (N, 6, p) of what was measured from those of the target's pose, predicted at `seen` (N)."""
+        """Return derivatives (N, 6, p) of the measurements from those of the target's pose, predicted at `seen` (N)."""
         if self.from_tool.any():
             columns = np.where(self.from_tool[:, None, None], invert_columns(seen, columns), columns)
         return project_columns(self.kinds, self.device, seen.position, columns)
@@ -274,7 +274,7 @@ class PoseSet(Brief):
 
         Args:
             m: Numbers of a pose, 3 or 6.
-            over: Poses whose medians count, such as those that a noise was estimated of; these unless given.
+            over: Poses that give the median, such as those from which a noise was estimated; this set by default.
         """
         out, known = np.ones((self.n, m)), self if over is None else over
         if self.position_stderr is not None and known.position_stderr is not None:
@@ -286,7 +286,7 @@ class PoseSet(Brief):
         return out
 
     def split_encoders(self) -> tuple[PoseSet | None, PoseSet]:
-        """Return what was measured of the tool, None where nothing was, and what encoders of passive joints measured."""
+        """Return the measurements of the tool (None if it was not measured) and those of encoders of passive joints."""
         rows = self.of_encoders
         if rows.all():
             return None, self
@@ -301,9 +301,9 @@ class PoseSet(Brief):
         return tool, replace(self.take(rows), warnings=())
 
     def with_devices_of(self, known: PoseSet) -> PoseSet:
-        """Return the set with the devices, and how exact they are, of another whose numbers it follows.
+        """Return the set with the devices and their standard errors of another set, whose numbering it follows.
 
-        Devices that the other has not are as exact as its devices of their kind, or else as all.
+        Devices that the other set lacks have the standard error of its devices of their kind, or else of all.
         """
         more = self.devices[len(known.devices) :] if self.device.max(initial=0) >= len(known.devices) else ()
         kinds, errors = (*known.kinds, *self.kinds[len(known.kinds) :]), known.device_errors
@@ -315,17 +315,17 @@ class PoseSet(Brief):
         )
 
     def without_rotation(self) -> PoseSet:
-        """Return the positions alone."""
+        """Return the set without orientations."""
         return replace(self, rotation=None)
 
 
 def number_alike(poses: PoseSet, holdout: PoseSet) -> PoseSet:
     """Return held-out poses with the training poses' numbering of campaigns, targets and devices.
 
-    A distance or a touch at a place that the training poses do not show becomes a further device, with a warning.
+    A distance or a touch at a place that the training poses do not contain becomes a further device, with a warning.
 
     Raises:
-        InputError: A campaign, a target or a tracker is unknown, or a device measures something else.
+        InputError: A campaign, a target or a tracker is unknown, or a device measures another quantity.
     """
     campaign = _renumber(holdout, "campaign", holdout.campaign, holdout.campaigns, poses.campaigns)
     target = _renumber(holdout, "target", holdout.target, holdout.targets, poses.targets)
@@ -334,7 +334,7 @@ def number_alike(poses: PoseSet, holdout: PoseSet) -> PoseSet:
         and poses.kinds == holdout.kinds
         and not _can_be_placed(poses.kinds[0])
     )
-    names = poses.devices if alone else holdout.devices  # one tracker alone is the same one under any name
+    names = poses.devices if alone else holdout.devices  # a single tracker matches whatever it is called
     for name, kind in zip(names, holdout.kinds, strict=True):
         known = dict(zip(poses.devices, poses.kinds, strict=True))
         if known.get(name, kind) != kind:
@@ -362,7 +362,7 @@ def number_alike(poses: PoseSet, holdout: PoseSet) -> PoseSet:
 
 
 def _can_be_placed(kind: str) -> bool:
-    """Tell whether measurements of a kind alone show where its device or fixture is."""
+    """Return whether measurements of one kind alone determine the place of its device or fixture."""
     return kind == "distance" or kind in TOUCHES
 
 
@@ -377,7 +377,7 @@ def _describe_new_places(names: Sequence[str], source: str) -> str:
 def _renumber(
     holdout: PoseSet, kind: str, number: np.ndarray, names: tuple[str, ...], known: tuple[str, ...]
 ) -> np.ndarray:
-    """Return numbers (N,) of names as they stand among the known ones; one name alone is the same one under any name."""
+    """Return the index (N,) of each name among the known ones; a single name matches a single known one whatever it is called."""
     if len(known) == 1 and len(names) == 1:
         return number
     for name in names:
@@ -398,7 +398,7 @@ def join_pose_sets(sets: Sequence[PoseSet]) -> PoseSet:
     """Return the poses of several files as one set; campaigns of one name are one campaign, and so are targets and devices.
 
     Raises:
-        InputError: Some have orientations, others not; or a device measures different things.
+        InputError: Some have orientations, others not; or a device measures different quantities.
     """
     if len(sets) == 1:
         return sets[0]
@@ -445,13 +445,13 @@ def join_pose_sets(sets: Sequence[PoseSet]) -> PoseSet:
 
 
 def _join_words(parts: Sequence[tuple[np.ndarray, tuple[str, ...]]]) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return one numbering of names that several files number each for itself, and the names."""
+    """Return a common numbering of names that each file numbers separately, and the names."""
     names = tuple(dict.fromkeys(name for _, words in parts for name in words))
     return np.concatenate([np.array([names.index(name) for name in words])[number] for number, words in parts]), names
 
 
 def _join_stated(sets: Sequence[PoseSet], name: str) -> np.ndarray | None:
-    """Return numbers that files state of each row; None unless all do. Encoders state none, and count as the median."""
+    """Return numbers that files state for each row; None unless all do. Encoders count as the median."""
     parts = [getattr(one, name) for one in sets]
     known = [part for part in parts if part is not None]
     if not known or any(part is None and not one.of_encoders.all() for part, one in zip(parts, sets, strict=True)):

@@ -1,4 +1,4 @@
-"""Measured poses from CSV or Parquet: their columns, words that tell campaigns, targets and devices apart, standard errors."""
+"""Measured poses from CSV or Parquet: their columns, names of campaigns, targets and devices, standard errors."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ STDERRS = ("x_tool_stderr", "y_tool_stderr", "z_tool_stderr")
 ROTATION_STDERR = "rot_tool_stderr"
 QUATERNION = ("qx_tool", "qy_tool", "qz_tool", "qw_tool")
 DISTANCE = "distance_tool"
-_MAX_COORDINATE_M = 1e3  # [m] from the device; farther is a file in mm
-_MAX_ROOM_M = 50.0  # [m] from the device in most rows; farther, single far rows are no slips but all rows are in mm
+_MAX_COORDINATE_M = 1e3  # [m] from the device; a larger coordinate means a file in mm
+_MAX_ROOM_M = 50.0  # [m] from the device in most rows; otherwise far rows are not single errors, but all rows are in mm
 
 
 def as_poses(poses: PoseSet | str | Path, robot: Robot) -> PoseSet:
     """Return poses as they are, or read a file of them; see `read_poses`.
 
     Raises:
-        InputError: They are something else, or their file cannot be used.
+        InputError: The argument is neither poses nor a path, or the file cannot be used.
     """
     if isinstance(poses, PoseSet):
         return poses
@@ -56,14 +56,14 @@ def read_poses(
 
     Without a quaternion `rx_tool ry_tool rz_tool` are a rotation vector or three angles; other usual names are read, with a
     warning (`columns.py`). `x_tool_stderr` .. `z_tool_stderr` [m] and `rot_tool_stderr` [rad] are standard errors that
-    weigh the poses; a zero counts as the smallest of its column above zero. A column `campaign` tells measuring campaigns apart,
-    a column `target` the targets on the tool, a column `device` the devices; the signs of `v_J` tell from which side a joint
-    came, and without them the order of the file does. Known loads on the tool stand in `load` [kg], `fx_tool` .. [N] and
+    weigh the poses; a zero counts as the smallest of its column above zero. A column `campaign` identifies measuring campaigns,
+    a column `target` the targets on the tool, a column `device` the devices; the signs of `v_J` give the side from which a joint
+    came, and without them the order of the file does. Known loads on the tool are in `load` [kg], `fx_tool` .. [N] and
     `mx_tool` .. [N m] (`loads.py`).
 
-    A row may give something else than a position: `distance_tool` [m] from the point that `device` names, or the name of what
-    the target touches in a column `hole`, `plane` or `sphere`. Passive joints with encoders are read from their columns `q_J`,
-    beside or instead of these. Places on the way of a plan (`pose` 0) are left out.
+    A row may have another measurement than a position: `distance_tool` [m] from the point that `device` names, or the name of
+    the touched fixture in a column `hole`, `plane` or `sphere`. Passive joints with encoders are read from their columns `q_J`,
+    in addition to or instead of these. Places on the way of a plan (`pose` 0) are left out.
 
     Args:
         path: File.
@@ -122,7 +122,7 @@ def read_poses(
 
 
 def _read_tool(table: Table, rows: PoseSet) -> PoseSet:
-    """Return the rows (N) with what a device or a fixture tells of the tool."""
+    """Return the rows (N) with a measurement of the tool by a device or a fixture."""
     position, device, devices, kinds = _read_measurements(table)
     (stated, said), (turned, more) = _read_position_stderr(table, kinds), _read_stated(table, (ROTATION_STDERR,))
     rotation, angles, how = (None, None, "") if set(kinds) - {"pose"} else _read_orientation(table)
@@ -143,13 +143,13 @@ def _read_tool(table: Table, rows: PoseSet) -> PoseSet:
             *more,
         ),
     )
-    if np.median(np.abs(position).max(axis=1)) < _MAX_ROOM_M:  # else the whole file has another unit
+    if np.median(np.abs(position).max(axis=1)) < _MAX_ROOM_M:  # otherwise the whole file has another unit
         check_units(poses)
     return poses
 
 
 def _find_tool_rows(table: Table) -> np.ndarray:
-    """Tell in which rows (N,) something of the tool is measured."""
+    """Return whether the tool is measured in each row (N,)."""
     given = np.zeros(table.n_rows, bool)
     for name in (*POSITION, DISTANCE, *TOUCHES):
         if name in table.cells:
@@ -158,7 +158,7 @@ def _find_tool_rows(table: Table) -> np.ndarray:
 
 
 def _leave_out_ways(table: Table, passive: Sequence[str]) -> Table:
-    """Return the table without the places of a plan where nothing is measured: `pose` 0 and no measurement."""
+    """Return the table without the unmeasured places of a plan: `pose` 0 and no measurement."""
     if "pose" not in table.cells:
         return table
     given = _find_tool_rows(table)
@@ -172,7 +172,7 @@ def _read_measurements(table: Table) -> tuple[np.ndarray, np.ndarray, tuple[str,
     """Return positions (N, 3) as `PoseSet` has them, the device of each row (N,), the devices' names and kinds.
 
     Raises:
-        InputError: A row gives nothing or several things, or a device measures different things.
+        InputError: A row has no measurement or several, or a device measures different quantities.
     """
     given = {"pose": _is_filled(table, POSITION), "distance": _is_filled(table, (DISTANCE,))}
     given |= {kind: _is_filled(table, (kind,)) for kind in TOUCHES}
@@ -206,7 +206,7 @@ def _read_measurements(table: Table) -> tuple[np.ndarray, np.ndarray, tuple[str,
 
 
 def _is_filled(table: Table, names: Sequence[str]) -> np.ndarray:
-    """Tell in which rows (N,) all of these columns have a cell that is not empty; the only measurement counts as filled."""
+    """Return whether all of these columns have a cell in each row (N,); the only measurement of a table counts as filled."""
     if not all(name in table.cells for name in names):
         return np.zeros(table.n_rows, bool)
     others = [name for name in (*POSITION, DISTANCE, *TOUCHES) if name in table.cells and name not in names]
@@ -216,7 +216,7 @@ def _is_filled(table: Table, names: Sequence[str]) -> np.ndarray:
 
 
 def _read_position_stderr(table: Table, kinds: Sequence[str]) -> tuple[np.ndarray | None, tuple[str, ...]]:
-    """Return standard errors of positions (N, 3) [m], those of a distance three times; None where not all have one."""
+    """Return standard errors of positions (N, 3) [m], those of a distance three times; None unless all rows have one."""
     if set(kinds) == {"distance"}:
         stated, said = _read_stated(table, (f"{DISTANCE}_stderr",))
         return None if stated is None else np.repeat(stated, 3, axis=1), said
@@ -224,12 +224,12 @@ def _read_position_stderr(table: Table, kinds: Sequence[str]) -> tuple[np.ndarra
 
 
 def _read_orientation(table: Table) -> tuple[np.ndarray | None, np.ndarray | None, str]:
-    """Return rotations (N, 3, 3), the three angles as written (N, 3), and how they are read; None where there are none."""
+    """Return rotations (N, 3, 3), the three angles as written (N, 3), and how they are read; None if not measured."""
     return read_angles(table) if _has_angles(table) else (_rotations(table), None, "")
 
 
 def _rename_columns(table: Table, map_: ColumnMap) -> Table:
-    """Return the table with the map's columns in our names and units beside its others.
+    """Return the table with the map's columns in our names and units next to its others.
 
     Raises:
         InputError: The map reads further files.
@@ -240,7 +240,7 @@ def _rename_columns(table: Table, map_: ColumnMap) -> Table:
 
 
 def _follow_mimics(table: Table, mimics: Mapping[str, Mimic]) -> Table:
-    """Return the table with the positions of joints that follow others, where it lacks them."""
+    """Return the table with the positions of joints that follow others, if it lacks them."""
     cells = dict(table.cells)
     for _ in mimics:  # a joint may follow one that follows another
         for joint, mimic in mimics.items():
@@ -272,12 +272,12 @@ def _check_columns(table: Table, actuated: Sequence[str], passive: Sequence[str]
 
 
 def _read_stated(table: Table, names: Sequence[str]) -> tuple[np.ndarray | None, tuple[str, ...]]:
-    """Return standard errors (N, k) from the table, None where it has none, and a warning of zeros.
+    """Return standard errors (N, k) from the table, None if it has no such columns, and a warning of zeros.
 
     A zero is a scatter below the last digit that was written: it counts as the smallest one above zero in its column.
 
     Raises:
-        InputError: Some columns are missing, a standard error is below zero, or a column has none above zero.
+        InputError: Some columns are missing, a standard error is below zero, or all of a column are zero.
     """
     some = [name for name in names if name in table.cells]
     if not some:
@@ -318,10 +318,10 @@ def _numbers(table: Table, name: str) -> np.ndarray:
 
 
 def check_units(poses: PoseSet) -> None:
-    """Refuse positions that no device measures in m.
+    """Refuse positions that are too large to be in m.
 
     Raises:
-        InputError: Names the farthest pose.
+        InputError: A position is too far away; the message names the farthest pose.
     """
     far = np.abs(poses.position).max(axis=1)
     if np.any(far > _MAX_COORDINATE_M):
@@ -332,7 +332,7 @@ def check_units(poses: PoseSet) -> None:
 
 
 def _has_angles(table: Table) -> bool:
-    """Tell whether orientations are three numbers; a quaternion goes first."""
+    """Return whether orientations are three numbers; a quaternion has precedence."""
     return QUATERNION[0] not in table.cells and all(name in table.cells for name in ANGLES)
 
 
@@ -368,10 +368,10 @@ _WINDOW_ROWS = (3, 12)  # rows to each side, at least and at most
 
 
 def _read_motion(table: Table, actuated: Sequence[str], q: np.ndarray) -> np.ndarray:
-    """Return speed, acceleration and jerk of each joint (3, N, na), zeros where the poses do not tell them.
+    """Return speed, acceleration and jerk of each joint (3, N, na), zeros if the poses do not contain them.
 
-    A column `t` [s] tells all where the rows are a recording of a motion, and not poses one after the other. Columns `v_J` tell
-    speeds, unless they hold one size only, such as 1 and -1: these are sides.
+    A column `t` [s] gives all three if the rows are a recording of a motion, and not poses one after the other. Columns `v_J`
+    give speeds, unless they hold one size only, such as 1 and -1: these are sides.
     """
     motion = _differentiate(table, q)
     if all(f"v_{joint}" in table.cells for joint in actuated):
@@ -383,7 +383,7 @@ def _read_motion(table: Table, actuated: Sequence[str], q: np.ndarray) -> np.nda
 
 
 def _differentiate(table: Table, q: np.ndarray) -> np.ndarray:
-    """Return speed, acceleration and jerk (3, N, na) of a recording, zeros where the rows are none."""
+    """Return speed, acceleration and jerk (3, N, na) of a recording, zeros if the rows are not a recording."""
     motion = np.zeros((3, *q.shape))
     t = table.numbers("t", gaps=True) if "t" in table.cells else np.zeros(0)
     if not np.isfinite(t).all() or len(np.unique(t)) < max(len(q), 2 * _WINDOW_ROWS[0] + 1):
@@ -410,10 +410,10 @@ def _differentiate(table: Table, q: np.ndarray) -> np.ndarray:
 
 
 def _approach(table: Table, actuated: Sequence[str], q: np.ndarray) -> np.ndarray:
-    """Return from which side each joint came (N, na), by its speed where it is given, else by the pose before."""
+    """Return the side from which each joint came (N, na), by its speed if given, otherwise by the pose before."""
     if all(f"v_{joint}" in table.cells for joint in actuated):
         return np.sign(np.column_stack([_numbers(table, f"v_{joint}") for joint in actuated]))
     step = np.sign(np.diff(q, axis=0, prepend=q[:1]))
-    for k in range(1, len(step)):  # a joint that stands still stays on the side it came from
+    for k in range(1, len(step)):  # a joint at rest stays on the side it came from
         step[k] = np.where(step[k] == 0, step[k - 1], step[k])
     return step

@@ -1,4 +1,4 @@
-r"""Joint positions at which a camera on the tool sees a pattern that stands still.
+r"""Joint positions at which a camera on the tool sees a stationary pattern.
 
 Positions drawn from the joints' travel look at the pattern by chance alone. So from each position in front of the pattern the
 camera is turned to it by Newton's method. With `b` the pattern's middle, `c` the camera, `g` the direction from `c` to `b`, and
@@ -7,7 +7,7 @@ the camera satisfies
 
     w x a + (1 - g g') v / |b - c| = g - a.
 
-Each step of the joints also asks for `v = 0`, so that the camera stays in front of the pattern where enough joints turn it.
+Each step of the joints also asks for `v = 0`, so that the camera stays in front of the pattern if enough joints turn it.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ _DRAWS = 3  # directions drawn for each pose in front of the pattern
 def turn_camera(
     camera: ToolCamera, geometry: Geometry, q: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the joint positions (N, na) nearest to those given from which the pattern is seen, and whether it is (N,).
+    """Return the joint positions (N, na) nearest to those given from which the pattern is seen, and whether it is seen (N,).
 
     Args:
-        camera: On the tool.
+        camera: The camera on the tool.
         geometry: The mechanism at its nominal parameters.
-        q: Where to start (N, na).
-        rng: Of the places in the picture.
+        q: Start positions (N, na).
+        rng: Random generator of the places in the picture.
     """
     theta, n = geometry.parameters.values, len(q)
     pixel = np.array(camera.centre) + _MIDDLE * (rng.random((n, 2)) - 0.5) * np.array(camera.image)
@@ -72,16 +72,16 @@ def find_aimed(
     """Return joint positions from which a camera on the tool sees the pattern, from those in reach.
 
     Args:
-        camera: On the tool.
+        camera: The camera on the tool.
         geometry: The mechanism at its nominal parameters.
-        reach: Where the search starts.
-        around: Obstacles that may stand between.
+        reach: Poses from which the search starts.
+        around: Obstacles that may block the view.
         machine: The robot, whose own solids may hide the pattern; None leaves them out.
         safety: Margins of the travel.
-        seed: Of the places in the picture.
+        seed: Seed of the places in the picture.
 
     Raises:
-        CannotAnswer: The pattern is not seen; says mostly why.
+        CannotAnswer: The pattern is not seen; the message names the most frequent reason.
     """
     at = transform_to_device(camera.frames, reach.tool).position
     away = np.linalg.norm(at, axis=1)

@@ -1,7 +1,7 @@
-"""How far a camera stands from where it should: from one picture of the pattern, with the robot at a pose that is known.
+"""Deviation of a camera from its planned place, from one picture of the pattern with the robot at a known pose.
 
 The pattern's pose `X_CP` in the camera follows from its corners, its pose `X_BP` in the robot's base from the joints, so the
-camera stands at `X_BC = X_BP X_CP^-1`. With the corners' covariance of position `d` and turn `w` of the pattern, both in the
+camera is at `X_BC = X_BP X_CP^-1`. With the corners' covariance of position `d` and turn `w` of the pattern, both in the
 camera's axes, the camera's own errors are `w x p - d` and `-w`. A plate that faces the camera squarely has a second, mirrored
 tilt of almost the same picture (Schweighofer & Pinz 2006); of two that the corners do not separate, the one nearer to the
 wanted place is taken, with a warning.
@@ -25,10 +25,10 @@ from tau_dyn.vision import Cameras, Pattern, measure_poses_from_images
 
 _TO_PRINT = np.diag([1.0, -1.0, -1.0])
 """From the printed pattern's frame (y down, z into the plate) to the target's (y up, z out of it); it is its own inverse."""
-_MIN_TILT_STDERR = 5.0  # standard errors between two tilts that corners tell apart
+_MIN_TILT_STDERR = 5.0  # standard errors between two tilts that corners separate
 _MIN_CHI2_DIFFERENCE = 25.0  # of two tilts, in corner variances, as `vision` takes it
 _MAX_NOISE_RATIO = 5.0
-"""Times the camera's corner noise above which its focal length, its lens or the pattern's size is in doubt."""
+"""Ratio to the camera's corner noise above which its focal length, its lens or the pattern's size is in doubt."""
 _SHIFTS = (("right", "left"), ("down", "up"), ("forwards", "backwards"))
 _TURNS = (("up", "down"), ("right", "left"), ("clockwise", "anticlockwise"))
 """Words for positive and negative numbers."""
@@ -38,12 +38,12 @@ _UPSIDE_DOWN = float(np.deg2rad(90.0))  # turn about the line of sight beyond wh
 
 @dataclass(frozen=True, eq=False)
 class CameraCorrection:
-    """How a camera must be moved to stand where it should.
+    """Motion that brings a camera to its planned place.
 
     Attributes:
-        camera: Where it stands, in the robot's base frame.
+        camera: Its actual place, in the robot's base frame.
         target: The pattern as found, in the camera's frame.
-        shift: To the right, down and forwards, in the axes of the camera as it stands (3,) [m].
+        shift: To the right, down and forwards, in the axes of the camera at its actual place (3,) [m].
         turn: Rotation vector about these axes (3,) [rad]: up, to the right, clockwise.
         stderr: Standard errors of both (6,), from the corners alone.
         rms: Root mean square residual of the corners [px].
@@ -59,7 +59,7 @@ class CameraCorrection:
     warnings: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return it for a JSON result."""
+        """Return the correction for a JSON result."""
         return {
             "shift": {"axes": ["right", "down", "forwards"], "value": self.shift, "stderr": self.stderr[:3], "unit": "m"},
             "turn": {
@@ -71,7 +71,7 @@ class CameraCorrection:
         }  # fmt: skip
 
     def describe(self) -> list[str]:
-        """Return what to do, a sentence each for place and direction."""
+        """Return instructions, a sentence each for place and direction."""
         shifts = _list_moves(1e3 * self.shift, 1e3 * self.stderr[:3], _SHIFTS, 1, "mm")
         turns = _list_moves(np.rad2deg(self.turn), np.rad2deg(self.stderr[3:]), _TURNS, 2, "deg")
         return [
@@ -107,9 +107,9 @@ def _carry_to_camera(covariance: np.ndarray, position: np.ndarray) -> np.ndarray
 
 
 def choose_picture_pose(camera: Camera, tool: Poses) -> int:
-    """Return the tool pose (of N) at which one picture tells the camera's place best, the pattern well inside the picture.
+    """Return the tool pose (of N) at which one picture determines the camera's place best.
 
-    A camera that does not stand there yet must see the pattern as well.
+    The pattern must be well inside the picture, so that a camera that is not yet at its place sees it as well.
     """
     spread = np.trace(compute_camera_covariance(camera, tool)[:, :3, :3], axis1=1, axis2=2)
     size, at = np.array(camera.image), transform_to_device(camera.frames, tool)
@@ -120,10 +120,10 @@ def choose_picture_pose(camera: Camera, tool: Poses) -> int:
 
 
 def find_camera_correction(camera: Camera, tool: Poses, taken: str | Path) -> CameraCorrection:
-    """Return how a camera must be moved, from a picture that it took.
+    """Return the motion that brings a camera to its planned place, from a picture that it took.
 
     Args:
-        camera: The camera where it should stand; its lens is taken as corrected.
+        camera: The camera at its planned place; its lens is taken as corrected.
         tool: The tool's pose (1) in the robot's base frame when the picture was taken.
         taken: The picture.
 
@@ -164,7 +164,7 @@ def find_camera_correction(camera: Camera, tool: Poses, taken: str | Path) -> Ca
 def _choose_tilt(camera: Camera, seen: Poses, wanted: Poses, noise: float, stderr: float) -> tuple[Poses, bool]:
     """Return the pattern as found or with its other tilt, and whether the corners leave both open.
 
-    They do where the other tilt fits as well, and where both are so near that their standard error [rad] holds both.
+    The corners leave both open if the other tilt fits as well, or if the tilts differ by less than five standard errors [rad].
     """
     sight = seen.position[0] / np.linalg.norm(seen.position[0])
     half_turn = Rotation.from_rotvec(np.pi * sight).as_matrix()

@@ -1,4 +1,4 @@
-"""From a robot file and a measuring device to a campaign that is ready to run (thesis 5.6, Figure 5.21).
+"""Planning of a calibration campaign from a robot file and a measuring device (thesis 5.6, Figure 5.21).
 
 workspace -> safety distances, obstacles -> poses in sight or in touch -> choice of poses -> simulated calibration -> tour
 -> files
@@ -50,7 +50,7 @@ _MAX_ERROR_RATIO = 0.8
 _MIN_CHOICE = 2.0
 """Candidates in view for each pose measured, below which a chosen camera place deserves more candidates."""
 _PLACES = 400
-"""Places of the workspace at which accuracy is judged."""
+"""Places of the workspace at which accuracy is evaluated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,15 +59,15 @@ class CalibrationCampaign:
 
     Attributes:
         robot: The robot.
-        device: What measures.
-        reachable: Where the robot may be.
-        visible: Which of it the device sees, or leads to a touch.
-        choice: The chosen poses and what they will give.
+        device: Measuring device or fixtures.
+        reachable: Poses that the robot may take.
+        visible: Poses of these that the device sees, or that lead to a touch.
+        choice: The chosen poses and their predicted accuracy.
         rehearsal: Simulated calibrations with them.
-        tour: Their order, and places on the way.
-        check: Judges positions and moves.
+        tour: The order of the poses, and places on the way.
+        check: Check of positions and moves.
         warnings: Sentences.
-        placement: Where the camera should stand, None where nothing of it was to be chosen.
+        placement: Chosen place of the camera, None if neither place nor direction was to be chosen.
     """
 
     robot: Robot
@@ -83,7 +83,7 @@ class CalibrationCampaign:
 
     @property
     def cells(self) -> tuple[dict[str, str], ...]:
-        """Cells of a measurement file that name the device or fixture at each place of the tour; none on the way."""
+        """Cells of a measurement file that name the device or fixture at each place of the tour; empty on the way."""
         if not isinstance(self.device, FixtureSet):
             return ()
         known = self.device.get_cells(self.choice.poses)
@@ -104,11 +104,11 @@ class CalibrationCampaign:
         ]
 
     def progress(self) -> CampaignProgress:
-        """Return the plan as a progress file of which nothing is done."""
+        """Return the plan as a progress file in which every place is open."""
         return build_new_progress(self.robot.actuated, self.tour.q, self.tour.pose, self.cells)
 
     def tool(self, q: np.ndarray) -> Poses:
-        """Return where the nominal robot's tool is at positions (k, na)."""
+        """Return the nominal robot's tool poses at positions (k, na)."""
         return self.check.poses(q)[0]
 
     def csv(self) -> str:
@@ -183,25 +183,23 @@ def plan_campaign(
         robot: The robot at its dimensions as far as they are known.
         device: Camera, tracker or fixtures; by default one that sees everything with 0.1 mm and 0.1 mrad of noise.
         n: Number of poses, or `auto`.
-        model: What is to be calibrated, as `calibrate` names it; by default all dimensions.
+        model: Calibration model, as `calibrate` names it; by default all dimensions.
         criterion: As in `choose_poses`.
         demands: Obstacles, limits, collisions.
-        safety: Margins on top.
-        required: Accuracy asked for, root mean square over the workspace [m].
+        safety: Additional margins.
+        required: Required accuracy, root mean square over the workspace [m].
         known: Frames that are known: `device`, `tool`.
-        weighted: Whether the fit will weigh every pose by the device's covariance there (`refine`) instead of all
-            alike.
+        weighted: Whether the fit will weigh every pose by the device's covariance there (`refine`) instead of all equally.
         fix: Names or patterns of parameters that stay.
-        free: Names or patterns freed on top.
-        candidates: About how many poses to choose from.
+        free: Names or patterns of parameters freed in addition.
+        candidates: Approximate number of poses to choose from.
         runs: Simulated calibrations.
-        seed: Of everything random.
-        progress: Told what is being done.
+        seed: Seed of all random numbers.
+        progress: Called with a description of each step.
 
     Raises:
-        InputError: Something given is at fault.
-        CannotAnswer: No pose can be reached or seen, or the calibration would not be accurate enough; says what would
-            help.
+        InputError: An argument is invalid.
+        CannotAnswer: No pose can be reached or seen, or the calibration would not be accurate enough; the message names a remedy.
     """
     demands = demands if demands is not None else PoseRequirements()
     safety = safety if safety is not None else Safety()
@@ -295,7 +293,7 @@ def _find_candidates(
 
 
 def _name_reasons(fixtures: Sequence[Fixture], parts: Sequence[MeasurablePoses]) -> dict[str, int]:
-    """Return why candidates are none, of several fixtures with the name of each."""
+    """Return the reasons why candidates are excluded; with several fixtures each reason has the fixture's name."""
     if not fixtures:
         return parts[0].reasons
     return {
@@ -304,7 +302,7 @@ def _name_reasons(fixtures: Sequence[Fixture], parts: Sequence[MeasurablePoses])
 
 
 def build_geometry(robot: Robot, model: str | None = None, *, encoders: bool = False) -> Geometry:
-    """Return what is to be calibrated of a robot: a named model, or all its dimensions; with encoders as a tree with loops.
+    """Return the geometry to be calibrated: a named model, or all dimensions of the robot; with encoders a tree with loops.
 
     Raises:
         UnknownName: No such model.
@@ -316,7 +314,7 @@ def build_geometry(robot: Robot, model: str | None = None, *, encoders: bool = F
 
 
 def _device_for(geometry: Geometry, device: MeasuringDevice | FixtureSet | None) -> MeasuringDevice | FixtureSet:
-    """Return the device given, or one that sees everything; a camera that sees one orientation alone is told so.
+    """Return the device given, or one that sees everything; a camera that sees one orientation alone is set `steady`.
 
     Raises:
         InputError: A camera is on a tool that does not turn.
@@ -350,7 +348,7 @@ def _tour(choice: PoseChoice, start: np.ndarray, robot: Robot, reach: Reachable,
 
 
 def _predictable(reach: Reachable, geometry: Geometry) -> Reachable:
-    """Return the poses that the geometry finds as well: it starts from the nominal robot's home and may lose some."""
+    """Return the poses that the geometry solves as well: its solver starts from the nominal robot's home and may lose some."""
     found = geometry.forward(geometry.parameters.values, reach.q)
     away = np.linalg.norm(np.where(found.ok[:, None], found.poses.position, np.inf) - reach.tool.position, axis=1)
     good = np.flatnonzero(found.ok & (away < 1e-6))
@@ -370,7 +368,7 @@ def _thinned(q: np.ndarray, seed: int) -> np.ndarray:
 
 
 def _weighing(choice: PoseChoice) -> tuple[str, ...]:
-    """Return what weighing poses by the device's covariance would bring, where it is worth a sentence."""
+    """Return a sentence on the benefit of weighing poses by the device's covariance, if it is large enough."""
     if choice.design.weighted:
         return ()
     better = predict(replace(choice.design, weighted=True), choice.index).rms
@@ -383,7 +381,7 @@ def _weighing(choice: PoseChoice) -> tuple[str, ...]:
 
 
 def _few_in_view(visible: Visible, choice: PoseChoice) -> tuple[str, ...]:
-    """Return that a camera which sees a small part of the workspace leaves few candidates, where it does."""
+    """Return a sentence if the camera sees so small a part of the workspace that few candidates are left."""
     if len(visible.index) > _MIN_CHOICE * choice.n:
         return ()
     return (

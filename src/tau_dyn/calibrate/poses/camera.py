@@ -1,11 +1,11 @@
-"""One camera and a flat pattern, one of them on the tool: what it sees and how exactly; cameras and trackers read from YAML.
+"""One camera and a flat pattern, one of them on the tool: visibility and accuracy; cameras and trackers read from YAML.
 
 A pinhole, z forward, x to the right of the picture, y down: `u = f_x x / z + c_x`, `v = f_y y / z + c_y`. All corners of the
-pattern must lie in the picture, the pattern must face the camera and be neither too near nor too far (thesis 5.6). With corner
+pattern must be in the picture, the pattern must face the camera and be neither too near nor too far (thesis 5.6). With corner
 noise `s` the pattern's pose has the covariance `s^2 (H'H)^-1`, `H` the corners' derivative by the pose: depth is measured far
-worse than what lies across. A pattern seen squarely hardly shows its tilt, and a tilt that is free biases its depth. So on a
+worse than the lateral position. A pattern seen squarely hardly shows its tilt, and a tilt that is free biases its depth. So on a
 plate that keeps its orientation (`steady`) all pictures share one: the pattern is located in each, the mean orientation is
-kept, and each position is found anew with it. A lens' distortion is taken as corrected.
+kept, and each position is estimated again with it. A lens' distortion is taken as corrected.
 
 Files have lengths in m, angles in degrees, places in the robot's base frame; orientations only with `orientation_noise`:
 
@@ -14,8 +14,8 @@ Files have lengths in m, angles in degrees, places in the robot's base frame; or
     limits: {distance: [0.5, 6], incidence: 60, margin: 5}
     choose: {position: [[3, 7], [-2, 1], [0.2, 2]]}
 
-`choose` says what the tool may choose: a place within ranges of x, y and z, and the direction; or `choose: direction` alone.
-With `mount: tool` the camera is on the tool, its place in the tool frame, and the pattern stands still, in the base frame.
+`choose` names the values that are optimised: a place within ranges of x, y and z, and the direction; or `choose: direction`
+alone. With `mount: tool` the camera is on the tool, its place in the tool frame, and the pattern is stationary in the base frame.
 
     tracker: {position: [5, -0.6, 1], noise: 10e-6, noise_per_metre: 5e-6}
     reflector: {position: [0, 0, 0], normal: [1, 0, 0], orientation_noise: 50e-6}
@@ -46,7 +46,7 @@ _AT_REST = 1e-10  # largest part of a step at which the iteration ends
 
 @dataclass(frozen=True)
 class CameraPattern:
-    """A chessboard: a grid of corners in its frame's plane, z towards who looks at it.
+    """A chessboard: a grid of corners in its frame's plane, z towards the viewer.
 
     Attributes:
         columns: Corners along x.
@@ -78,7 +78,7 @@ class CameraPattern:
 
 @dataclass(frozen=True, eq=False)
 class Camera(StandingDevice):
-    """A camera that stands still and a pattern on the tool.
+    """A stationary camera and a pattern on the tool.
 
     Attributes:
         pose: The camera in the robot's base frame.
@@ -90,12 +90,12 @@ class Camera(StandingDevice):
         pixel_noise: Standard deviation of a corner's coordinates [px].
         distance: Nearest and farthest distance of the pattern [m].
         incidence: Largest angle between the pattern's normal and the line to the camera [rad].
-        margin: What corners keep from the picture's edge [px].
+        margin: Least distance of corners from the picture's edge [px].
         steady: Whether the pattern keeps its orientation, so that positions alone are measured.
-        name: For messages.
-        up: What is upwards in the picture (3,), in the robot's base frame.
-        places: Lowest and highest x, y, z of its place (3, 2) [m] where place and direction are to be chosen, None where
-            the camera stands; equal ones leave the direction alone to be chosen.
+        name: Name in messages.
+        up: Direction that points upwards in the picture (3,), in the robot's base frame.
+        places: Lowest and highest x, y, z of its place (3, 2) [m] if place and direction are to be chosen, None if the
+            camera's place is given; with equal ones only the direction is chosen.
     """
 
     pose: Frame
@@ -139,7 +139,7 @@ class Camera(StandingDevice):
         return _points(transform_to_base(self.frames, tool), np.vstack([np.zeros((1, 3)), self.pattern.outline]))
 
     def covariance(self, tool: Poses) -> np.ndarray:
-        """Return the covariance of the pattern's measured pose (N, 6, 6), of a steady one's position (N, 3, 3)."""
+        """Return the covariance of the pattern's measured pose (N, 6, 6), or of the position of a steady one (N, 3, 3)."""
         slope = self.compute_slope(self.see(tool))
         slope = slope[:, :, :3] if self.steady else slope
         return self.pixel_noise**2 * np.linalg.inv(np.swapaxes(slope, 1, 2) @ slope)
@@ -171,7 +171,7 @@ class Camera(StandingDevice):
         Without `turns` the orientation stays.
 
         Raises:
-            InputError: The corners do not tell the pose.
+            InputError: The corners do not determine the pose.
         """
         position, rotation = start.position.copy(), start.rotation.copy()
         for _ in range(_STEPS):
@@ -207,7 +207,7 @@ class Camera(StandingDevice):
 
 @dataclass(frozen=True, eq=False)
 class ToolCamera(Camera):
-    """A camera on the tool and a pattern that stands still.
+    """A camera on the tool and a stationary pattern.
 
     Attributes:
         pose: The pattern in the robot's base frame.
@@ -216,7 +216,7 @@ class ToolCamera(Camera):
 
     @property
     def kind(self) -> str:
-        """It tells the pose of what stands still, in its own frame."""
+        """Kind of measurement: the pose of the stationary pattern in the camera's frame."""
         return "hand_eye"
 
     @property
@@ -233,7 +233,7 @@ class ToolCamera(Camera):
         return invert_poses(super().see(tool))
 
     def marks(self, tool: Poses) -> np.ndarray:
-        """Return the pattern's middle and its four corners (N, 5, 3) [m], which stand still."""
+        """Return the pattern's middle and its four corners (N, 5, 3) [m], which are stationary."""
         corners = np.vstack([np.zeros((1, 3)), self.pattern.outline]) @ self.pose.rotation.T + self.pose.translation
         return np.repeat(corners[None], len(tool.position), axis=0)
 
@@ -242,7 +242,7 @@ def build_camera_frame(place: np.ndarray, look_at: np.ndarray, up: np.ndarray) -
     """Return the frame of a camera at a place that looks at a point, `up` upwards in the picture.
 
     Raises:
-        InputError: It looks along `up`, or at itself.
+        InputError: The camera looks along `up`, or at its own place.
     """
     z = look_at - place
     x = np.cross(z, up)
@@ -256,10 +256,10 @@ def build_camera_frame(place: np.ndarray, look_at: np.ndarray, up: np.ndarray) -
 
 
 def build_target_frame(place: np.ndarray, normal: np.ndarray, up: np.ndarray) -> Frame:
-    """Return a target's frame: z along `normal`, `up` against its y (so that it stands upright in a picture).
+    """Return a target's frame: z along `normal`, `up` against its y (so that it is upright in a picture).
 
     Raises:
-        InputError: `normal` has no length or lies along `up`.
+        InputError: `normal` has no length or is parallel to `up`.
     """
     frame = build_camera_frame(place, place - normal, up)
     return Frame(frame.rotation @ np.diag([1.0, -1.0, -1.0]), place)
@@ -273,7 +273,7 @@ UP = (0.0, 0.0, 1.0)
 
 
 def read_camera(path: str | Path) -> Camera:
-    """Read a camera and its pattern: a `ToolCamera` where the camera is on the tool.
+    """Read a camera and its pattern: a `ToolCamera` if the camera is on the tool.
 
     Raises:
         InputError: Something is missing or no number; the message names the place.
@@ -316,7 +316,7 @@ def read_camera(path: str | Path) -> Camera:
 
 
 def _read_places(root: FilePart, place: np.ndarray) -> np.ndarray | None:
-    """Return where the camera may stand (3, 2) [m], None where nothing is to be chosen."""
+    """Return the permitted range of the camera's place (3, 2) [m], None if neither place nor direction is to be chosen."""
     if "choose" not in root.content:
         return None
     if root.content["choose"] == "direction":
@@ -331,12 +331,12 @@ def _read_places(root: FilePart, place: np.ndarray) -> np.ndarray | None:
 
 
 def format_camera_file(path: str | Path, position: np.ndarray, look_at: np.ndarray | None) -> str:
-    """Return a camera's file with another place and direction, and without what was to be chosen.
+    """Return a camera's file with another place and direction, and without the key `choose`.
 
     Args:
-        path: File in which everything else stands.
+        path: File with all other values.
         position: The camera's place (3,) [m].
-        look_at: Point (3,) [m] at which it looks; None where place and direction stay.
+        look_at: Point (3,) [m] at which it looks; None if place and direction stay.
     """
     content: Any = {key: value for key, value in read_yaml(path).items() if key != "choose"}
     if look_at is not None:
@@ -372,13 +372,13 @@ class FilePart:
     """A mapping of a YAML file; every fault names it.
 
     Args:
-        content: What the file holds there.
-        where: Opens the messages.
-        known: Keys that may stand there.
+        content: Content of the file there.
+        where: Start of the messages.
+        known: Permitted keys.
     """
 
     def __init__(self, content: Any, where: str, known: set[str]) -> None:
-        """Refuse what is no mapping, or has other keys."""
+        """Refuse content that is no mapping, or has other keys."""
         self.where = where
         if not isinstance(content, Mapping):
             self.fault(f"needs {', '.join(sorted(known))}")
@@ -392,7 +392,7 @@ class FilePart:
         raise InputError("file_format", f"{self.where}: {text}")
 
     def part(self, key: str, known: set[str], *, needed: bool = True) -> FilePart:
-        """Return a mapping in this one, an empty one where it is missing and not needed."""
+        """Return a mapping in this one, an empty one if it is missing and not needed."""
         if needed and key not in self.content:
             self.fault(f"'{key}' is missing")
         return FilePart(self.content.get(key, {}), f"{self.where}: {key}", known)
@@ -400,7 +400,7 @@ class FilePart:
     def numbers(
         self, key: str, n: int, *, default: tuple[float, ...] | None = None, low: float = -np.inf, alone: bool = False
     ) -> np.ndarray:
-        """Return `n` finite numbers; `alone` lets one stand for all."""
+        """Return `n` finite numbers; with `alone`, a single number counts for all."""
         value: Any = self.content.get(key, None if default is None else list(default))
         if value is None:
             self.fault(f"'{key}' is missing")
@@ -456,7 +456,7 @@ class FilePart:
 
 
 def _is_number(value: Any) -> bool:
-    if isinstance(value, str):  # YAML takes 10e-6 for text
+    if isinstance(value, str):  # YAML reads 10e-6 as text
         try:
             value = float(value)
         except ValueError:

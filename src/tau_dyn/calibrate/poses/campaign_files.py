@@ -1,8 +1,9 @@
-"""What a campaign leaves on disk: a RAPID module for ABB controllers, CSV, and the progress of one that can be interrupted.
+"""Files of a campaign: a RAPID module for ABB controllers, CSV, and the progress of a campaign that can be interrupted.
 
-In RAPID, joint targets are what is driven to (`MoveAbsJ`: mm along slides, degrees about turning joints); robot targets stand
-beside them for whoever reads. `next_place` is persistent: a program that was stopped goes on with the pose it had not measured.
-A touch is not driven to, because the nominal robot would miss it or run into it: the program stops at the place before.
+In RAPID, the robot moves to joint targets (`MoveAbsJ`: mm along slides, degrees about turning joints); robot targets are
+written next to them for the reader. `next_place` is persistent: a program that was stopped goes on with the pose it had not
+measured. The robot does not drive to a touch, because the nominal robot would miss it or collide: the program stops at the place
+before.
 
 The progress file is JSON, numbers in m and rad, one entry for every place of the tour, written whole or not at all after every
 pose. Killed at any point, a campaign loses at most the pose that was being measured.
@@ -53,13 +54,13 @@ def format_rapid_module(
         tool: Tool poses there (k) in the robot's base frame.
         kinds: `prismatic` or `revolute` of each joint.
         actuated: Names of the joints, for the comment.
-        name: Of the module.
+        name: Name of the module.
         wait: Time to settle before measuring [s].
         speed: RAPID speed data.
         cells: Cells of a measurement file that name the device or fixture at each place, as `FixtureSet.get_cells`.
 
     Raises:
-        InputError: More than twelve joints, a name that RAPID does not take, or nothing to drive to.
+        InputError: More than twelve joints, a name that RAPID does not take, or an empty tour.
     """
     if not len(q):
         raise InputError("missing_input", "there is no pose to write a RAPID module for")
@@ -115,7 +116,7 @@ _MAX_STRING = 80  # characters of a RAPID string
 
 
 def _format_string(text: str) -> str:
-    """Return a RAPID string; what is no printable ASCII becomes a question mark."""
+    """Return a RAPID string; characters that are no printable ASCII become question marks."""
     plain = re.sub(r"[^ -~]", "?", text).replace("\\", "?")
     return f'"{plain[:_MAX_STRING]}"'
 
@@ -142,22 +143,22 @@ def format_tour_csv(
 _VERSION = 1  # version of the file format
 _MAX_FILE_BYTES = 64 * 2**20  # [bytes]
 Measure = Callable[[int, np.ndarray], "tuple[np.ndarray, np.ndarray | None] | None"]
-"""From a pose's number and positions (na,) to the measured position (3,) and orientation (3, 3) or None; None where
-nothing was seen."""
+"""Function of a pose's number and positions (na,) that returns the measured position (3,) and orientation (3, 3) or None;
+None if the target was not seen."""
 
 
 @dataclass(frozen=True, eq=False)
 class CampaignProgress:
-    """A plan and how far it has come.
+    """A plan and its progress.
 
     Attributes:
         actuated: Joints, in the order of `q`.
         q: Places of the tour (k, na).
         pose: Pose measured there (k,), -1 on the way.
         state: `open`, `measured` or `missed` of each place; of places on the way `open` or `passed`.
-        position: Measured positions (k, 3) [m], nan where there are none.
-        rotation: Measured orientations (k, 3, 3), nan where there are none.
-        cells: Cells of a measurement file that name the device or fixture at each place, empty where there is one device.
+        position: Measured positions (k, 3) [m], nan where not measured.
+        rotation: Measured orientations (k, 3, 3), nan where not measured.
+        cells: Cells of a measurement file that name the device or fixture at each place, empty if there is one device.
     """
 
     actuated: tuple[str, ...]
@@ -170,7 +171,7 @@ class CampaignProgress:
 
     @property
     def left(self) -> np.ndarray:
-        """Indices of the places that still come; those on the way only before a pose that does."""
+        """Indices of the places still to be visited; places on the way only if a pose to be measured follows."""
         open_ = np.array([s == "open" for s in self.state])
         poses = np.flatnonzero(open_ & (self.pose >= 0))
         if not len(poses):
@@ -179,7 +180,7 @@ class CampaignProgress:
         return index[index <= poses[-1]]
 
     def measured(self) -> PoseSet:
-        """Return what was measured."""
+        """Return the measured poses."""
         index = np.array([k for k, s in enumerate(self.state) if s == "measured"], int)
         turned = len(index) > 0 and bool(np.isfinite(self.rotation[index]).all())
         names = tuple(f"pose {self.pose[k] + 1}" for k in index)
@@ -187,7 +188,7 @@ class CampaignProgress:
         return PoseSet(self.q[index], self.position[index], rotation, names, source="measured so far")
 
     def with_result(self, place: int, found: tuple[np.ndarray, np.ndarray | None] | None) -> CampaignProgress:
-        """Return the progress after a place was visited; `found` is None where nothing was seen."""
+        """Return the progress after a place was visited; `found` is None if no pose was measured."""
         state = list(self.state)
         if self.pose[place] >= 0:
             state[place] = "missed" if found is None else "measured"
@@ -225,7 +226,7 @@ class CampaignProgress:
 def build_new_progress(
     actuated: tuple[str, ...], q: np.ndarray, pose: np.ndarray, cells: tuple[dict[str, str], ...] = ()
 ) -> CampaignProgress:
-    """Return a plan of which nothing is done yet."""
+    """Return a plan in which every place is open."""
     k = len(q)
     nothing = np.full((k, 3), np.nan), np.full((k, 3, 3), np.nan)
     return CampaignProgress(actuated, q, pose, ("open",) * k, *nothing, cells)
@@ -235,7 +236,7 @@ def read_progress(path: str | Path, actuated: tuple[str, ...]) -> CampaignProgre
     """Read a progress file.
 
     Raises:
-        InputError: It is not one, or belongs to another robot.
+        InputError: The file is no progress file, or belongs to another robot.
     """
     try:
         content = json.loads(read_bytes(path, _MAX_FILE_BYTES).decode("utf-8"))
@@ -288,12 +289,12 @@ def run_campaign(plan: CampaignProgress, measure: Measure, path: str | Path) -> 
     """Drive through a plan, or go on where an earlier call stopped.
 
     Args:
-        plan: The plan; what the file holds goes before it.
-        measure: Drives to a place and measures; also called on the way, with pose -1, where its answer is not used.
+        plan: The plan; an existing progress file has precedence.
+        measure: Function that drives to a place and measures; also called on the way, with pose -1; its result is then not used.
         path: Progress file, written after every place.
 
     Returns:
-        What was measured, over all calls.
+        The measured poses of all calls.
 
     Raises:
         InputError: The file belongs to another plan, or the plan is one of distances and touches.

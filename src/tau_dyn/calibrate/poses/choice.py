@@ -5,8 +5,8 @@ The tool's error at a place is `D dp` with `dp ~ N(0, P)`, so its mean square ov
     mean  tr(P L),     variance  2 tr(P L P L),     L = mean of D' D.
 
 With twice the information this part `s` of the held-out error falls to `s / sqrt(2)` while the device's noise `w` stays. Poses
-are enough where `1 - sqrt(s^2 / 2 + w^2) / sqrt(s^2 + w^2)` falls below a threshold, or where `s` has come down to an accuracy
-that was asked for. Fewer than the rank needs cannot be fitted at all.
+are enough where `1 - sqrt(s^2 / 2 + w^2) / sqrt(s^2 + w^2)` falls below a threshold, or where `s` reaches a required
+accuracy. Fewer poses than the rank requires cannot be fitted.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from tau_dyn.message_codes import CodedWarning
 
 
 class CalibrationPrediction(NamedTuple):
-    """What a set of poses will give.
+    """Predicted accuracy of a calibration with a set of poses.
 
     Attributes:
         poses: Number of poses.
@@ -34,8 +34,8 @@ class CalibrationPrediction(NamedTuple):
         scatter: Standard deviation of that from campaign to campaign [m].
         worst: The same root mean square at the worst place [m].
         held_out: Root mean square of measured minus predicted at other poses [m]: `rms` and the device's noise.
-        turn: Root mean square orientation error [rad], nan where the tool does not turn.
-        stderr: Standard errors of the parameters that can be told (r,), each in its unit.
+        turn: Root mean square orientation error [rad], nan if the tool does not turn.
+        stderr: Standard errors of the identifiable parameters (r,), each in its unit.
     """
 
     poses: int
@@ -57,11 +57,11 @@ class CalibrationPrediction(NamedTuple):
 
 
 def predict(design: PoseDesign, index: np.ndarray) -> CalibrationPrediction:
-    """Return what a fit to some of the candidates will give.
+    """Return the predicted accuracy of a fit to some of the candidates.
 
     Args:
         design: Candidates.
-        index: Those that are measured (n,).
+        index: Indices of the measured candidates (n,).
     """
     p = design.covariance(index)
     weight = np.einsum("nir,nis->rs", design.places, design.places) / len(design.places)
@@ -92,13 +92,13 @@ _SIZE_UNDETERMINED = (
 MIN_DOUBLING_GAIN = 0.03
 """Share by which twice as many poses must make the held-out error smaller to be worth it."""
 _UNKNOWN = 1.0
-"""Standard error, in scales, from which a parameter is as good as unknown."""
+"""Standard error, in scales, from which a parameter is practically unknown."""
 
 
 def compute_min_poses(design: PoseDesign) -> int:
-    """Return the fewest poses with which the model can be fitted and its noise judged."""
+    """Return the smallest number of poses with which the model can be fitted and its noise estimated."""
     rank = design.found.rank
-    if rank >= design.n * design.per_pose:  # the candidates are too few to show what more of them would tell
+    if rank >= design.n * design.per_pose:  # the candidates are too few to show the information of more of them
         rank = len(design.found.names)
     return count_required_poses(rank, design.per_pose)
 
@@ -116,10 +116,10 @@ def add_poses_until_enough(
 
     Args:
         design: Candidates.
-        search: Picks them.
+        search: Search that picks them.
         gain: Threshold of `compute_doubling_gain`.
-        target: Accuracy asked for [m]; replaces the threshold.
-        most: Most poses.
+        target: Required accuracy [m]; replaces the threshold.
+        most: Largest number of poses.
     """
     least, chosen, curve = compute_min_poses(design), [], []
     for k in search.pick():
@@ -149,12 +149,12 @@ class PoseChoice:
     """Chosen poses.
 
     Attributes:
-        design: All candidates and what they tell.
-        index: Which were chosen (n,), ascending.
-        criterion: By what.
+        design: All candidates and their information.
+        index: Indices of the chosen ones (n,), ascending.
+        criterion: Name of the criterion.
         trace: The criterion's value of the set, pose by pose as picked, then after the exchange.
         curve: Predicted accuracy against the number of poses, as picked (before the exchange).
-        predicted: With the chosen poses.
+        predicted: Predicted accuracy with the chosen poses.
         at_random: Predicted root mean square [m] with as many poses drawn at random (median of several draws).
         warnings: Sentences.
     """
@@ -185,7 +185,7 @@ class PoseChoice:
 
     @property
     def not_identifiable(self) -> dict[str, tuple[str, ...]]:
-        """Parameters that stay at their nominal value, and on which others they depend."""
+        """Parameters that stay at their nominal value, and the other parameters that they depend on."""
         found = self.design.found
         return {found.names[k]: d for k, d in zip(found.dropped, found.depends_on, strict=True)}
 
@@ -225,21 +225,21 @@ def choose_poses(
     seed: int = 0,
     **known: Any,
 ) -> PoseChoice:
-    """Choose poses for a calibration and predict what they will give.
+    """Choose poses for a calibration and predict their accuracy.
 
     Args:
         geometry: Mechanism at its nominal parameters; those that are not `free` stay.
-        candidates: What may be measured, as in `build_design`.
-        n: How many, or `auto`: until twice as many would hardly help.
+        candidates: Poses that may be measured, as in `build_design`.
+        n: Number of poses, or `auto`: until twice as many would hardly help.
         criterion: `tool` (default), `worst`, `determinant`, `condition`, `smallest` or `amplification`.
         noise: Standard deviations or covariances, as in `build_design`.
         gain: With `auto`, share of the held-out error that twice as many poses must be worth.
         target: With `auto`, accuracy [m] at which to stop instead.
-        seed: Of the random start that competes with the picked one.
-        **known: Of `build_design`: frames, workspace, fix, free, device, tool, weighted.
+        seed: Seed of the random start that competes with the picked one.
+        **known: Arguments of `build_design`: frames, workspace, fix, free, device, tool, weighted.
 
     Raises:
-        InputError: Too few candidates or poses (says how many), or numbers that are none.
+        InputError: Too few candidates or poses (with the number needed), or an argument out of range.
         UnknownName: No such criterion.
     """
     design = build_design(geometry, candidates, noise, **known)
@@ -288,7 +288,7 @@ def require_numbers(
     """Refuse numbers with which no poses can be chosen; arguments as in `choose_poses`.
 
     Raises:
-        InputError: Too few candidates or poses, or a gain or an accuracy that is none.
+        InputError: Too few candidates or poses, or a gain or an accuracy out of range.
     """
     least = compute_min_poses(design)
     if design.n < least:

@@ -1,4 +1,4 @@
-"""How good a set of poses is, from its information matrix `M` (in scales), and sets chosen by it: picked, then exchanged.
+"""Criteria for a set of poses, from its information matrix `M` (in scales), and sets chosen by them: picked, then exchanged.
 
     tool           average predicted variance of the tool over the workspace, tr(M^-1 L); V-optimal, the default
     worst          the same at the worst place of the workspace; G-optimal
@@ -7,13 +7,13 @@
     smallest       sigma_min (Nahvi et al. 1994; Williams et al. 2006)
     amplification  sigma_min^2 / sigma_max (Nahvi & Hollerbach 1996)
 
-Every value is a logarithm, to be made large. The thesis prints the last one upside down: (5.14) sets sigma_max^2 / sigma_min
+Every value is a logarithm, to be maximised. The thesis prints the last one inverted: (5.14) sets sigma_max^2 / sigma_min
 equal to sigma_max / cond(J), which is sigma_min. The source's index is sigma_min^2 / sigma_max = sigma_min / cond(J), to be
-large.
+maximised.
 
-`pick` adds the pose that helps most, again and again. `exchanged` improves a set by excursions (Mitchell 1974, DETMAX): it adds
-one, two or three poses and takes as many away again, or the other way round, and keeps what is better. Which poses are worth an
-exact look tells the criterion's gradient. `leave_one_out` is the thesis' rule (5.9).
+`pick` repeatedly adds the pose with the largest gain. `exchanged` improves a set by excursions (Mitchell 1974, DETMAX): it adds
+one, two or three poses and takes as many away again, or the other way round, and keeps the better set. The criterion's gradient
+selects the poses that are evaluated exactly. `leave_one_out` is the thesis' rule (5.9).
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from tau_dyn.exceptions import UnknownName
 
 NAMES = ("tool", "worst", "determinant", "condition", "smallest", "amplification")
 SMOOTH = ("tool", "determinant")
-"""Those by which poses can be picked one after the other; a smallest singular value tells nothing while several are 0."""
+"""Criteria by which poses can be picked one after the other; the smallest singular value gives no order while several are 0."""
 _SHARP = 4
 """Power by which eigenvalues near the smallest take part in its gradient; they change places as poses come and go."""
 
 _PLACES = 200
-"""Places at most among which the worst is looked for in every step."""
+"""Largest number of places that are searched for the worst in every step."""
 
 
 class Criterion(NamedTuple):
     """A measure of information matrices.
 
     Attributes:
-        name: As the user calls it.
-        value: From matrices (..., r, r) to logarithms (...), larger is better.
-        gradient: From one matrix (r, r) to the value's derivative by it, up to a factor: what a pose adds to first
-            order.
+        name: Name for the user.
+        value: Function of matrices (..., r, r) that returns logarithms (...); larger is better.
+        gradient: Function of one matrix (r, r) that returns the value's derivative by it, up to a factor: the first-order gain of
+            a pose.
     """
 
     name: str
@@ -55,7 +55,7 @@ def build_criterion(name: str, design: PoseDesign) -> Criterion:
     """Return a criterion by name.
 
     Raises:
-        UnknownName: There is none of that name.
+        UnknownName: No criterion has that name.
     """
     if name == "tool":
         return _tool(design.places)
@@ -146,7 +146,7 @@ class PoseExchange:
 
     Args:
         blocks: Every candidate's derivative in units of the noise (N, m, r).
-        criterion: What is made large.
+        criterion: Criterion to be maximised.
     """
 
     def __init__(self, blocks: np.ndarray, criterion: Criterion) -> None:
@@ -173,11 +173,11 @@ class PoseExchange:
             yield k
 
     def exchanged(self, index: np.ndarray, most: int = 500) -> np.ndarray:
-        """Return a set of as many poses that no short excursion makes better, in ascending order.
+        """Return a set of as many poses that no short excursion improves, in ascending order.
 
         Args:
-            index: Where to start (n,).
-            most: Excursions that are tried at most.
+            index: Start set (n,).
+            most: Largest number of excursions.
         """
         chosen, length, first = np.array(index), 1, +1
         m = self.information(chosen)
@@ -201,7 +201,7 @@ class PoseExchange:
                 pool = np.setdiff1d(np.arange(self.n), chosen) if sign > 0 else chosen
                 k, m = self._best(m, pool, sign)
                 chosen = np.append(chosen, k) if sign > 0 else chosen[chosen != k]
-        return chosen, self.information(chosen)  # summed anew, so that rounding does not pile up
+        return chosen, self.information(chosen)  # summed again, so that rounding does not pile up
 
     def _best(self, m: np.ndarray, pool: np.ndarray, sign: int) -> tuple[int, np.ndarray]:
         """Return the pose of a pool to add (+1) or take away (-1), and the information afterwards."""

@@ -1,13 +1,13 @@
-"""What every candidate pose would tell: the fit's own analytic derivatives, in units of the measuring noise.
+"""Information of every candidate pose: the fit's own analytic derivatives, in units of the measuring noise.
 
 A candidate gives `m` numbers with covariance `S_k`; their derivative by the parameters is `J_k`, columns times the parameters'
-scales. The information of a set of poses is `M = sum J_k' S_k^-1 J_k`. A fit that weighs all poses alike has
+scales. The information of a set of poses is `M = sum J_k' S_k^-1 J_k`. A fit that weighs all poses equally has
 
     P = A^-1 B A^-1,   A = sum J_k' W J_k,   B = sum J_k' W S_k W J_k,
 
 `W` from the mean noise of each device; `P = M^-1` where a device measures all poses equally well, or where `refine` weighs each
-by its own noise: a camera measures depth ten times worse than what lies across. Distances and touches show no frame: the tool's
-accuracy is then that after the best motion of the whole robot, and touches alone leave its size open as well. Reference:
+by its own noise: a camera measures depth ten times worse than the lateral position. Distances and touches show no frame: the
+tool's accuracy is then that after the best motion of the whole robot, and touches alone leave its size open as well. Reference:
 Hollerbach, Khalil & Gautier 2016, 6.3.
 """
 
@@ -29,12 +29,12 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import Poses
 
 _SEEN = 1e-3
-"""Part of the largest tool shift below which a parameter that no candidate tells is left out of the warning."""
+"""Part of the largest tool shift below which a parameter that no candidate identifies is left out of the warning."""
 
 
 @dataclass(frozen=True, eq=False)
 class PoseDesign:
-    """Candidates and what each tells.
+    """Candidate poses and the information of each.
 
     Attributes:
         geometry: The mechanism at its nominal parameters.
@@ -42,13 +42,13 @@ class PoseDesign:
         poses: Candidates (N), the device or fixture and the target of each.
         workspace: Positions where accuracy counts (M, na).
         tool: Tool poses there in the robot's base frame (N).
-        unknowns: All that the fit may change.
-        found: Which of it the candidates together can tell.
-        slopes: Derivatives of the measured numbers by what can be told, times scale (N, m, r).
+        unknowns: All parameters that the fit may change.
+        found: Identifiability of these with all candidates together.
+        slopes: Derivatives of the measured numbers by the identifiable parameters, times scale (N, m, r).
         noise: Covariance of the measured numbers (N, m, m).
-        places: The target's shift [m] at the poses where accuracy counts, by what can be told, times scale (M, 3, r).
-        turns: The tool's turn [rad] there (M, 3, r), empty where the tool does not turn.
-        untold: Parameters that no candidate tells although they move the tool where accuracy counts: name and
+        places: The target's shift [m] at the poses where accuracy counts, by the identifiable parameters, times scale (M, 3, r).
+        turns: The tool's turn [rad] there (M, 3, r), empty if the tool does not turn.
+        untold: Parameters that no candidate identifies although they move the tool where accuracy counts: name and
             rms shift [m] that an error of one scale leaves.
         weighted: Whether the fit will weigh every pose by its own covariance.
     """
@@ -94,7 +94,7 @@ class PoseDesign:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of what can be told (r,)."""
+        """Names of the identifiable parameters (r,)."""
         return tuple(self.found.names[k] for k in self.found.kept)
 
     @property
@@ -104,7 +104,7 @@ class PoseDesign:
 
     @property
     def counts(self) -> np.ndarray:
-        """Whether each of what can be told moves the tool (r,); where a fixture is does not."""
+        """Whether each identifiable parameter moves the tool (r,); the place of a fixture does not."""
         return np.any(self.places != 0, axis=(0, 1))
 
     def whitened(self) -> np.ndarray:
@@ -114,11 +114,11 @@ class PoseDesign:
         return np.linalg.solve(np.linalg.cholesky(self.noise), self.slopes)
 
     def sigma(self) -> np.ndarray:
-        """Return the standard deviation by which a fit weighs each number (N, m): all of a device alike, by block."""
+        """Return the standard deviation by which a fit weighs each number (N, m): equal for all poses of a device, by block."""
         return _mean_sigma(self.noise, self.poses.device)
 
     def covariance(self, index: np.ndarray, prior: float = 0.0) -> np.ndarray:
-        """Return the covariance (r, r), in scales, of what a fit to these candidates estimates.
+        """Return the covariance (r, r), in scales, of the parameters that a fit to these candidates estimates.
 
         `prior` is the singular value that every parameter has before any pose; it keeps sets that lack rank comparable.
         """
@@ -151,7 +151,7 @@ def build_design(
     tool: bool = True,
     weighted: bool = False,
 ) -> PoseDesign:
-    """Return what candidates would tell about a mechanism.
+    """Return the information of candidate poses about a mechanism.
 
     Args:
         geometry: Mechanism at its nominal parameters.
@@ -161,10 +161,10 @@ def build_design(
         frames: Device and target as far as they are known; identity otherwise.
         workspace: Positions (M, na) where accuracy counts; the candidates by default.
         fix: Names or patterns of parameters that stay.
-        free: Names or patterns freed on top.
+        free: Names or patterns of parameters freed in addition.
         device: Whether the device's frame is unknown.
         tool: Whether the target's place on the tool is unknown.
-        weighted: Whether the fit will weigh every pose by its own covariance (`refine`) instead of all alike (`fit`).
+        weighted: Whether the fit will weigh every pose by its own covariance (`refine`) instead of all equally (`fit`).
 
     Raises:
         InputError: Candidates or noise that are no numbers, or that the nominal robot cannot reach.
@@ -227,7 +227,7 @@ def _without_values(q: np.ndarray) -> PoseSet:
 def _slopes(
     geometry: Geometry, frames: DeviceFrames, unknowns: Unknowns, poses: PoseSet, turned: bool
 ) -> tuple[np.ndarray, Poses, np.ndarray]:
-    """Return derivatives of the measured numbers by the free unknowns (N, m, f), tool poses, and where they exist."""
+    """Return derivatives of the measured numbers by the free unknowns (N, m, f), tool poses, and which of them exist."""
     theta = geometry.parameters.values
     predicted = predict_measured(geometry, theta, poses, poses.q)
     seen = frames.measured(predicted.poses, poses.setup)
@@ -244,8 +244,8 @@ def _target_slopes(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return derivatives of the first target's pose in the base frame by the free unknowns (N, 6, f), and where it exists (N,).
 
-    Nothing measured shows where the base is, so the motion of the whole robot that changes its positions least is taken out, and
-    its size where it is not `sized`.
+    No measurement shows where the base is, so the motion of the whole robot that changes its positions least is taken out, and
+    its size if it is not `sized`.
     """
     theta, setup = geometry.parameters.values, np.zeros(len(q), int)
     found = geometry.forward(theta, q)
@@ -272,7 +272,7 @@ def _without_rounding(slopes: np.ndarray, scales: np.ndarray) -> np.ndarray:
 
 
 def _untold(shifts: np.ndarray, found: Identifiability, scales: np.ndarray) -> tuple[tuple[str, float], ...]:
-    """Return what moves the tool where accuracy counts (shifts (M, m, f) per scale) though no candidate tells it."""
+    """Return parameters that move the tool where accuracy counts (shifts (M, m, f) per scale) but are not identifiable."""
     if not len(found.dropped):
         return ()
     factors = found.factors * scales[found.dropped] / scales[found.kept][:, None]
@@ -335,8 +335,8 @@ def refine(fitted: GeometryFit, covariance: np.ndarray) -> GeometryFit:
 
     Args:
         fitted: A fit with forward residuals.
-        covariance: Of the measured numbers (N, m, m), as `Device.covariance` gives them; orientations are left out
-            where the fit has none.
+        covariance: Covariance of the measured numbers (N, m, m), as `Device.covariance` gives it; orientations are left out if
+            the fit does not use them.
 
     Raises:
         InputError: Covariances that do not belong to these poses, or a fit with other residuals.
@@ -389,7 +389,7 @@ class _CovarianceProblem:
         return self.problem.moved(state, whole)
 
     def gain(self, state: FitState, trial: FitState) -> float:
-        """Return by how much the sum falls; losing a pose is no way down."""
+        """Return the decrease of the sum; the loss of a pose does not count as a decrease."""
         if trial.ok.sum() < state.ok.sum():
             return -np.inf
         return self._cost(state) - self._cost(trial)

@@ -1,7 +1,7 @@
-"""What a measuring device must be able to say, which poses it sees, how well, what it would measure; and a laser tracker.
+"""Interface of a measuring device (visible poses, covariance, simulated measurements), and a laser tracker.
 
 A reflector is seen from within a cone about its axis: about 30 degrees for a corner cube, 75 for a cat's eye, 45 in pitch and yaw
-for a target that tells its orientation too (Leica Geosystems 2009). The tracker's noise grows with the distance.
+for a target with a measurable orientation (Leica Geosystems 2009). The tracker's noise grows with the distance.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ _MAX_STEP = 0.3  # [m or rad] of a joint; longer ones leave the neighbourhood
 
 
 class MeasuringDevice(Protocol):
-    """A measuring device that stands at a known place (about: a fit finds it anew)."""
+    """A measuring device at an approximately known place, which a fit estimates."""
 
     @property
     def name(self) -> str:
-        """What it is called in messages."""
+        """Name in messages."""
         ...
 
     @property
@@ -42,15 +42,15 @@ class MeasuringDevice(Protocol):
 
     @property
     def kind(self) -> str:
-        """What it tells, a name of `KINDS`."""
+        """Kind of measurement, a name of `KINDS`."""
         ...
 
     def find_places(self, tool: Poses) -> np.ndarray | None:
-        """Return from where it looks (N, 3) [m] in the robot's base frame, None where it sees through everything."""
+        """Return its viewpoint (N, 3) [m] in the robot's base frame, None if it sees through everything."""
         ...
 
     def reasons(self, tool: Poses) -> np.ndarray:
-        """Return why it does not see the target at each tool pose (N,), '' where it does; obstacles apart."""
+        """Return why it does not see the target at each tool pose (N,), '' if it does; obstacles are not considered."""
         ...
 
     def marks(self, tool: Poses) -> np.ndarray:
@@ -62,7 +62,7 @@ class MeasuringDevice(Protocol):
         ...
 
     def measure(self, tool: Poses, rng: np.random.Generator) -> Poses:
-        """Return what it would measure of the target at tool poses, in its own frame."""
+        """Return simulated measurements of the target at tool poses, in its own frame."""
         ...
 
 
@@ -73,7 +73,7 @@ class UniformDevice:
     Attributes:
         noise: Standard deviations of positions [m] and, if it measures them, orientations [rad].
         frames: Device and target.
-        name: For messages.
+        name: Name in messages.
     """
 
     noise: tuple[float, ...] = (1e-4,)
@@ -87,11 +87,11 @@ class UniformDevice:
 
     @property
     def kind(self) -> str:
-        """It tells poses."""
+        """Kind of measurement: poses."""
         return "pose"
 
     def find_places(self, tool: Poses) -> None:
-        """Return nothing: it sees through everything."""
+        """Return None: it sees through everything."""
 
     def reasons(self, tool: Poses) -> np.ndarray:
         """Return '' for every pose."""
@@ -137,12 +137,12 @@ def move_joints(
     closed: float,
     small: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the joint positions (N, na) nearest to those given at which a gap is closed, and where it is (N,).
+    """Return the joint positions (N, na) nearest to those given at which a gap is closed, and whether it is (N,).
 
     Args:
-        q: Where to start (N, na).
-        find_gap: From joint positions (k, na) and their indices (k,) to the gap (k, m), nan where there is no pose, and the
-            derivative (k, m, na) of what closes it.
+        q: Start positions (N, na).
+        find_gap: Function of joint positions (k, na) and their indices (k,) that returns the gap (k, m), nan where there is no
+            pose, and the derivative (k, m, na) of the quantity that closes it.
         closed: Largest part of a gap that is closed.
         small: Ratio of singular values below which a direction is left alone.
     """
@@ -163,7 +163,7 @@ def move_joints(
 
 
 class StandingDevice(ABC):
-    """What devices share that stand at a place and see a target on the tool.
+    """Base class of stationary devices that see a target on the tool.
 
     Attributes:
         pose: The device in the robot's base frame.
@@ -175,7 +175,7 @@ class StandingDevice(ABC):
 
     @property
     def kind(self) -> str:
-        """It tells poses."""
+        """Kind of measurement: poses."""
         return "pose"
 
     @property
@@ -184,7 +184,7 @@ class StandingDevice(ABC):
         return DeviceFrames((self.pose.inverse,), (self.on_tool,))
 
     def find_places(self, tool: Poses) -> np.ndarray:
-        """Return from where it looks (N, 3) [m]."""
+        """Return its viewpoint (N, 3) [m]."""
         return np.repeat(self.pose.translation[None], len(tool.position), axis=0)
 
     def see(self, tool: Poses) -> Poses:
@@ -192,7 +192,7 @@ class StandingDevice(ABC):
         return transform_to_device(self.frames, tool)
 
     def reasons(self, tool: Poses) -> np.ndarray:
-        """Return why it does not see the target (N,), '' where it does: the first rule that is broken."""
+        """Return why it does not see the target (N,), the first rule that is broken, '' if it sees it."""
         out = np.full(len(tool.position), SEEN, dtype=object)
         for words, broken in self._rules(self.see(tool)):
             out[broken & (out == SEEN)] = words
@@ -200,23 +200,23 @@ class StandingDevice(ABC):
 
     @abstractmethod
     def _rules(self, at: Poses) -> Sequence[tuple[str, np.ndarray]]:
-        """Return what may be wrong with target poses in the device's frame, in words, and where it is (N,)."""
+        """Return the rules that target poses in the device's frame may break, in words, and which poses break them (N,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tracker(StandingDevice):
-    """A laser tracker that stands still.
+    """A stationary laser tracker.
 
     Attributes:
         pose: The tracker in the robot's base frame, z upwards.
         on_tool: The reflector in the tool frame, z out of it.
         along: Standard deviation of the measured distance [m].
         across: Standard deviation of both angles [rad].
-        turn: Standard deviation of orientations [rad], None where the target tells none.
+        turn: Standard deviation of orientations [rad], None if the target's orientation is not measured.
         distance: Nearest and farthest distance [m].
         incidence: Half angle of the reflector's cone [rad].
         elevation: Lowest and highest elevation of the beam [rad].
-        name: For messages.
+        name: Name in messages.
     """
 
     pose: Frame
@@ -231,7 +231,7 @@ class Tracker(StandingDevice):
 
     @property
     def turned(self) -> bool:
-        """Whether the target tells its orientation."""
+        """Whether the target's orientation is measured."""
         return self.turn is not None
 
     def _rules(self, at: Poses) -> Sequence[tuple[str, np.ndarray]]:
@@ -252,7 +252,7 @@ class Tracker(StandingDevice):
         return transform_to_base(self.frames, tool).position[:, None]
 
     def covariance(self, tool: Poses) -> np.ndarray:
-        """Return the covariance of what it measures (N, 3, 3) or (N, 6, 6)."""
+        """Return the covariance of its measurements (N, 3, 3) or (N, 6, 6)."""
         at = transform_to_device(self.frames, tool).position
         away = np.linalg.norm(at, axis=1)
         beam = at / np.maximum(away, 1e-9)[:, None]

@@ -1,11 +1,11 @@
 r"""Distances, pins in holes, touched planes and balls in the place of a device: read from YAML, reached, and simulated.
 
-A distance (wire, ball bar, interferometer) is measured wherever nothing stands between. A touch is a joint position at which the
-target is on the fixture: Newton's method solves `|p(q)| = radius` of a ball, `z(q) = 0` of a plane, `p(q) = 0` of a hole, by the
-shortest step of the joints. The robot approaches from outwards, and only the last move may come near the obstacle to which the
-fixture belongs.
+A distance (wire, ball bar, interferometer) is measured wherever no obstacle is in between. A touch is a joint position at which
+the target is on the fixture: Newton's method solves `|p(q)| = radius` of a ball, `z(q) = 0` of a plane, `p(q) = 0` of a hole, by
+the shortest step of the joints. The robot approaches from outwards, and only the last move may come near the obstacle to which
+the fixture belongs.
 
-Files have lengths in m, places about right in the robot's base frame, normals out of plane and hole, targets in the tool frame:
+Files have lengths in m, approximate places in the robot's base frame, normals out of plane and hole, targets in the tool frame:
 
     target: [0, 0, 0.1]
     fixtures:
@@ -15,7 +15,7 @@ Files have lengths in m, places about right in the robot's base frame, normals o
       - {kind: sphere, name: ball, position: [0.4, -0.3, 0.3], radius: 0.0127, noise: 20e-6, target: [0.02, 0, 0.1]}
       - {kind: encoder, name: elbow, noise: 50e-6}
 
-An encoder of a passive joint is read wherever the robot stands; its noise is in rad, or m of a slide.
+An encoder of a passive joint is read at any pose of the robot; its noise is in rad, or in m for a slide.
 """
 
 from __future__ import annotations
@@ -56,25 +56,25 @@ PLANNED = ("distance", *TOUCHES, "encoder")
 """Kinds of fixtures in a file."""
 _SMALL = 1e-3  # ratio of singular values below which a direction is left alone
 _TOUCHES_M = 1e-9  # [m] gap at which the target touches
-_BEHIND_M = 1e-6  # [m] by which the tool frame may lie behind the surface: rounding
+_BEHIND_M = 1e-6  # [m] by which the tool frame may be behind the surface: rounding
 _MIN_DIFFERENCE = 1e-4  # [m or rad] below which two touches are one: three axes reach a hole in one way
-_MAX_APPROACH = 0.5  # [m or rad] of a joint on the last move; longer ones come from elsewhere
+_MAX_APPROACH = 0.5  # [m or rad] of a joint on the last move; longer moves approach from another direction
 _MIN_RETRACT_M = 0.02
 """Least distance from which a fixture is approached [m]: nominal dimensions are off by about 10 mm."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fixture:
-    """A device that tells a distance, or a thing that the target touches; a `MeasuringDevice`.
+    """A device that measures a distance, or an object that the target touches; a `MeasuringDevice`.
 
     Attributes:
         kind: A name of `PLANNED`, or `angle` or `travel` of an encoder whose joint is known.
-        label: What the user calls it; of an encoder its joint.
-        pose: It in the robot's base frame, z out of a plane or a hole.
+        label: Name given by the user; for an encoder the name of its joint.
+        pose: Its pose in the robot's base frame, z out of a plane or a hole.
         on_tool: The target in the tool frame.
-        noise: Standard deviation of the distance, or of each coordinate in which the target is not where it touches [m]; of an
-            encoder [rad or m], or of its arc [m] where its joint is known.
-        radius: Of a ball [m].
+        noise: Standard deviation of the distance, or of each coordinate in which a touching target deviates [m]; for an encoder
+            [rad or m], or of its arc [m] if its joint is known.
+        radius: Radius of a ball [m].
         obstacle: The obstacle to which it belongs, which its touches may come near.
     """
 
@@ -98,7 +98,7 @@ class Fixture:
 
     @property
     def turned(self) -> bool:
-        """It tells no orientation."""
+        """Whether it measures orientations, which is False."""
         return False
 
     def find_places(self, tool: Poses) -> np.ndarray | None:
@@ -109,7 +109,7 @@ class Fixture:
 
     @property
     def cells(self) -> dict[str, str]:
-        """Cells of a measurement file that name it, by column."""
+        """Cells of a measurement file that name the fixture, by column."""
         if self.kind in ENCODERS:
             return {f"q_{self.label}": ""}
         return {"device" if self.kind == "distance" else self.kind: self.label}
@@ -171,7 +171,7 @@ class FixtureSet:
 
     @property
     def name(self) -> str:
-        """Their names."""
+        """Names of the devices and fixtures."""
         return format_names([fixture.name for fixture in self.fixtures])
 
     @property
@@ -217,7 +217,7 @@ class FixtureSet:
         """Return measurements of a robot with parameters `theta` (p,) at planned poses; touches are reached by jogging.
 
         Raises:
-            CannotAnswer: The robot does not reach a fixture from where it is planned.
+            CannotAnswer: The robot does not reach a fixture from its planned place.
         """
         noise = np.array([fixture.noise for fixture in self.fixtures])
         off = noise[poses.device, None] * rng.standard_normal((poses.n, 3))
@@ -250,8 +250,9 @@ def reach_fixtures(
         geometry: The mechanism.
         theta: Its parameters (p,).
         frames: Fixtures and targets.
-        poses: Where to start, and which fixture each touches.
-        off: Target from where it touches (N, 3) [m]: the first number outwards of a plane or a ball, three in a hole's frame.
+        poses: Start poses, and the fixture that each touches.
+        off: Displacement of the target from its touching position (N, 3) [m]: the first number outwards of a plane or a ball,
+            three in a hole's frame.
     """
     one = poses.numbers == 1
 
@@ -279,15 +280,15 @@ def find_touches(
     """Return joint positions at which the nominal robot touches a fixture and may do so, from those in reach.
 
     Args:
-        fixture: What is touched.
+        fixture: The fixture to be touched.
         geometry: The mechanism at its nominal parameters.
-        reach: Where the search starts.
-        check: Judges the place from which the fixture is approached, and the tour.
-        demands: What touches themselves must satisfy, without the obstacle to which the fixture belongs.
+        reach: Poses from which the search starts.
+        check: Check of the place from which the fixture is approached, and of the tour.
+        demands: Conditions that touches themselves must satisfy, without the obstacle to which the fixture belongs.
         safety: Margins of the travel, and how far outwards the approach starts.
 
     Raises:
-        CannotAnswer: The fixture cannot be touched; says mostly why.
+        CannotAnswer: The fixture cannot be touched; the message names the most frequent reason.
     """
     theta, frames = geometry.parameters.values, fixture.frames
     start = PoseSet(reach.q, np.zeros((reach.n, 3)), devices=(fixture.name,), kinds=(fixture.kind,))
@@ -328,13 +329,13 @@ def find_touches(
 
 
 def _is_behind(fixture: Fixture, tool: np.ndarray) -> np.ndarray:
-    """Tell where the tool frame (N, 3) [m] lies on the far side of a plane, inside a ball, or under a hole."""
+    """Return whether the tool frame (N, 3) [m] is on the far side of a plane, inside a ball, or under a hole."""
     at = tool @ fixture.pose.rotation - fixture.pose.translation @ fixture.pose.rotation
     return (np.linalg.norm(at, axis=1) - fixture.radius if fixture.kind == "sphere" else at[:, 2]) < -_BEHIND_M
 
 
 def read_fixtures(path: str | Path) -> FixtureSet:
-    """Read devices that tell distances, fixtures that the target touches, and encoders of passive joints.
+    """Read devices that measure distances, fixtures that the target touches, and encoders of passive joints.
 
     Raises:
         InputError: Something is missing or no number; the message names the place.
@@ -361,7 +362,7 @@ _KEYS = {
     "sphere": ("radius", "obstacle"),
     "encoder": (),
 }
-"""Keys of each kind besides kind, name, position, noise and target."""
+"""Keys of each kind in addition to kind, name, position, noise and target."""
 
 
 def _read_fixture(content: Any, where: str, target: np.ndarray) -> Fixture:

@@ -1,7 +1,7 @@
-"""A simulated calibration before the real one: does it come to rest, is it as accurate as predicted, is that enough?
+"""Simulated calibrations before the real one: convergence of the fit, and comparison with the predicted and required accuracy.
 
 Robots are drawn whose dimensions are off by the parameters' scales (as measured with a tape), their poses measured by
-the device, fitted, and judged at other places of the workspace without noise (thesis 5.6, "Simulation and
+the device, fitted, and evaluated at other places of the workspace without noise (thesis 5.6, "Simulation and
 experiment").
 """
 
@@ -25,21 +25,21 @@ from tau_dyn.calibrate.poses.fixtures import FixtureSet
 from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
 
 _MAX_ERROR_RATIO = 2.0
-"""By how much simulated calibrations may be worse than predicted."""
+"""Largest accepted ratio of the simulated error to the predicted one."""
 _MAX_NOISE_RATIO = 3.0
-"""Noise of a fit, over the true one, above which it ended elsewhere; sampling of twenty poses gives 1.5."""
+"""Ratio of a fit's noise to the true one above which it converged to another solution; sampling of twenty poses gives 1.5."""
 _N_TRIALS = 20  # simulated calibrations; their rms error is known to 16 %
 
 
 @dataclass(frozen=True, eq=False)
 class MonteCarloCalibration:
-    """What simulated calibrations gave.
+    """Results of simulated calibrations.
 
     Attributes:
         before: Root mean square error of the nominal robots, frames fitted, at other places (runs,) [m].
         after: The same after calibration (runs,) [m].
         predicted: Root mean square error predicted [m].
-        failures: What went wrong in runs that gave nothing.
+        failures: Reasons of the runs that failed.
         restarted: Runs that found fixtures only from their planned places.
     """
 
@@ -71,7 +71,7 @@ def draw_robot(geometry: Geometry, q: np.ndarray, scales: np.ndarray, rng: np.ra
     """Return parameters of a robot that is off by `scales` (p,) and still reaches all of `q` (N, na).
 
     Raises:
-        CannotAnswer: None of many does.
+        CannotAnswer: No robot drawn reaches all positions.
     """
     nominal, free = geometry.parameters.values, np.array(geometry.parameters.free, bool)
     for _ in range(_N_TRIALS):
@@ -88,7 +88,7 @@ def draw_robot(geometry: Geometry, q: np.ndarray, scales: np.ndarray, rng: np.ra
 def simulate_measurement(
     device: MeasuringDevice, geometry: Geometry, theta: np.ndarray, q: np.ndarray, rng: np.random.Generator
 ) -> PoseSet:
-    """Return what a device measures of a robot with parameters `theta` at positions (N, na)."""
+    """Return the simulated measurements of a robot with parameters `theta` at positions (N, na)."""
     tool = geometry.forward(theta, q).poses
     found = device.measure(tool, rng)
     rotation = found.rotation if device.turned else None
@@ -110,13 +110,13 @@ def simulate_calibrations(
 
     Args:
         choice: The poses.
-        device: What measures them.
-        runs: How many robots.
-        seed: Of the robots and the noise.
+        device: Device that measures them.
+        runs: Number of robots.
+        seed: Seed of the robots and the noise.
         fix: Names or patterns that stay, as in the choice.
         free: Names or patterns freed, as in the choice.
         known: `device`, `tool`: frames that are not fitted.
-        progress: Told how far it is.
+        progress: Called with a description of each run.
 
     Raises:
         InputError: No runs.
@@ -156,7 +156,7 @@ def simulate_calibrations(
 
 
 def _is_at_noise(fitted: GeometryFit, device: FixtureSet) -> bool:
-    """Tell whether a fit explains its measurements: else it took a fixture for one elsewhere, such as a ball from within."""
+    """Return whether a fit explains its measurements; otherwise it found a wrong fixture position, such as a ball from inside."""
     return fitted.converged and fitted.noise[0] < _MAX_NOISE_RATIO * device.fixtures[0].noise
 
 
@@ -164,7 +164,7 @@ def compute_tool_error(fitted: GeometryFit, design: PoseDesign, frames: DeviceFr
     """Return the root mean square error [m] of a fit over the workspace of a robot with parameters `theta` (p,) and true frames.
 
     Positions are compared in the frame that the device shows; with distances and touches after the motion of the whole robot that
-    fits best, and after the change of its size where nothing but touches is measured.
+    fits best, and after the change of its size if only touches are measured.
     """
     true = design.geometry.forward(theta, design.workspace).poses
     if design.poses.shows_frames:
@@ -182,15 +182,15 @@ def compute_tool_error(fitted: GeometryFit, design: PoseDesign, frames: DeviceFr
 
 
 def require_accuracy(choice: PoseChoice, rehearsal: MonteCarloCalibration, required: float | None = None) -> None:
-    """Let a campaign pass that will be accurate enough.
+    """Refuse a campaign that will not be accurate enough.
 
     Args:
         choice: The poses.
         rehearsal: Simulated calibrations with them.
-        required: Accuracy asked for, root mean square over the workspace [m].
+        required: Required accuracy, root mean square over the workspace [m].
 
     Raises:
-        CannotAnswer: It will not; says why and what would help.
+        CannotAnswer: The campaign will not be accurate enough; the message names the reason and a remedy.
     """
     made, design = choice.predicted, choice.design
     if rehearsal.failures and len(rehearsal.failures) >= max(1, len(rehearsal.after)):
@@ -237,7 +237,7 @@ def require_accuracy(choice: PoseChoice, rehearsal: MonteCarloCalibration, requi
 
 
 def _remedy(choice: PoseChoice, required: float) -> str:
-    """Return what would bring the accuracy asked for."""
+    """Return a remedy that would reach the required accuracy."""
     made, design = choice.predicted, choice.design
     factor = made.rms / required
     every = predict(design, np.arange(design.n)).rms

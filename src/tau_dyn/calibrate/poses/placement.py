@@ -1,12 +1,13 @@
-"""Where a camera should stand and look: the place with the smallest predicted error of the calibrated robot (thesis 5.5, 5.6).
+"""Place and direction of a camera with the smallest predicted error of the calibrated robot (thesis 5.5, 5.6).
 
 The derivatives of all poses in reach are computed once. A camera at another place measures the same numbers in other axes, with
 another covariance `S_k`, of the poses that it sees whole, within angle and distance, past obstacles and robot. Its value is the
-predicted error `tr(P L)` of the poses that `choose_from` takes of these, over the whole workspace: what it does not see counts by
-extrapolation, with the criterion's prior of ten scales where a direction is not seen at all. Places are spread by a Sobol
-sequence, each looks at what faces it, and the best are improved by random steps that become smaller. The thesis' rules are here
-for comparison: the largest share of the workspace in view, and the largest plate in the picture with all of it in view. Sight of
-several places is Jorgensen et al. 2018, simulation-based optimisation of camera placement; the criterion is V-optimality.
+predicted error `tr(P L)` of the poses that `choose_from` takes of these, over the whole workspace: parts that it does not see
+count by extrapolation, with the criterion's prior of ten scales where a direction is not seen at all. Places are spread by a
+Sobol sequence, each looks at targets that face it, and the best are improved by random steps that become smaller. The thesis'
+rules are here for comparison: the largest share of the workspace in view, and the largest plate in the picture with all of it in
+view. Sight of several places is Jorgensen et al. 2018, simulation-based optimisation of camera placement; the criterion is
+V-optimality.
 """
 
 from __future__ import annotations
@@ -33,10 +34,10 @@ from tau_dyn.kinematics import Box, Obstacle, Surroundings
 from tau_dyn.kinematics.workspace import PoseRequirements, WorkspaceModel
 
 Goal = Literal["error", "view", "plate"]
-"""What is made best: the predicted error, the share of poses in view, or the plate's size with as many poses in view."""
+"""Quantity to be optimised: the predicted error, the share of poses in view, or the plate's size with as many poses in view."""
 
 CLEARANCE = 0.15
-"""[m] What the robot and the target keep from the camera's place: half a camera with its mount and lens."""
+"""[m] Least distance of the robot and the target from the camera's place: half a camera with its mount and lens."""
 _CAMERA_M = 0.1  # [m] side of the cube that moves keep clear of
 _DRAWN_POWER = 7  # binary logarithm of the places tried
 _REFINED = 5  # of them are improved
@@ -44,19 +45,19 @@ _STEPS = 40  # steps of each
 _SPREAD = (0.25, 0.01)
 """First and last standard deviation of a step, as a share of the ranges and of the workspace's size."""
 _LOOKED_AT = 600
-"""Poses in reach that the search looks at; the last choice looks at all."""
+"""Number of poses in reach that the search uses; the final choice uses all."""
 _NOISE = (1e-4, 1e-4)  # [m], [rad] of the design before a camera's covariance is known
 _DIGITS = 3  # places and directions are rounded to millimetres, as a file states them and a person measures them
 
 
 class CameraView(NamedTuple):
-    """What a camera sees of the poses in reach.
+    """The part of the poses in reach that a camera sees.
 
     Attributes:
         seen: Number of poses in sight.
         share: Their share of all in reach.
-        plate: Share of the picture that the plate fills, the median of the poses in sight; nan where there are none.
-        rms: Predicted root mean square error of the tool over the workspace [m]; nan where too few poses are in sight.
+        plate: Share of the picture that the plate fills, the median of the poses in sight; nan if no pose is in sight.
+        rms: Predicted root mean square error of the tool over the workspace [m]; nan if too few poses are in sight.
     """
 
     seen: int
@@ -72,14 +73,14 @@ class CameraView(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CameraPlacement:
-    """Where a camera should stand.
+    """Chosen place of a camera.
 
     Attributes:
         camera: The camera there.
-        look_at: The point (3,) [m] that it looks at, None where it stays as given.
-        given: What the camera sees as the file has it.
-        chosen: What it sees from the chosen place.
-        n: Poses that the predicted errors are of.
+        look_at: The point (3,) [m] that it looks at, None if it stays as given.
+        given: View of the camera as the file has it.
+        chosen: View from the chosen place.
+        n: Number of poses that the predicted errors refer to.
         tried: Places and directions tried.
         turned_only: Whether the place was given and the direction alone chosen.
     """
@@ -94,7 +95,7 @@ class CameraPlacement:
 
     @property
     def stays(self) -> bool:
-        """Whether the camera stays where it stands, turned or not."""
+        """Whether the camera stays at its place, turned or not."""
         return self.turned_only or self.look_at is None
 
     def build_obstacle(self) -> Obstacle:
@@ -124,14 +125,14 @@ class CameraPlacement:
 
 @dataclass(frozen=True, eq=False)
 class CameraSite:
-    """What decides about a camera's place.
+    """Data that determine a camera's place.
 
     Attributes:
         camera: As given, with the ranges of its place.
         reach: Poses of the robot.
         around: Obstacles.
         machine: The robot, whose own solids may hide the target or meet the camera; None leaves them out.
-        design: What all poses in reach tell the camera as given.
+        design: Information of all poses in reach, measured by the camera as given.
         bones: Both ends (2, K, 3) [m] of lines from joint to joint at these poses.
     """
 
@@ -148,7 +149,7 @@ class CameraSite:
         return replace(self, reach=reach, design=_take_poses(self.design, index))
 
     def find_seen(self, camera: Camera) -> tuple[np.ndarray, dict[str, int]]:
-        """Return which poses in reach (n,) a camera sees, and why not the others, with their number."""
+        """Return the poses in reach (n,) that a camera sees, and the reasons why others are not seen, with their number."""
         why = camera.reasons(self.reach.tool)
         left = np.flatnonzero(why == SEEN)
         tool, q = self.reach.tool.take(left), self.reach.q[left]
@@ -156,7 +157,7 @@ class CameraSite:
         return np.flatnonzero(why == SEEN), dict(Counter(why[why != SEEN].tolist()))
 
     def build_design(self, camera: Camera, seen: np.ndarray) -> PoseDesign:
-        """Return what the poses in sight (n,) tell a camera at another place, in the given camera's axes."""
+        """Return the information of the poses in sight (n,) for a camera at another place, in the given camera's axes."""
         part = _take_poses(self.design, seen)
         turn = self.camera.pose.rotation.T @ camera.pose.rotation
         m = part.noise.shape[1]
@@ -164,7 +165,7 @@ class CameraSite:
         return replace(part, noise=both @ camera.covariance(part.tool)[:, :m, :m] @ both.T)
 
     def is_free(self, place: np.ndarray) -> bool:
-        """Return whether a camera may stand at a place (3,): outside obstacles, and the robot does not come near."""
+        """Return whether a place (3,) is free for a camera: outside obstacles, and the robot does not come near."""
         blocking = (o for o in self.around.obstacles if o.blocks == "robot")
         if any(o.distance(place[None])[0] < 0 for o in blocking):
             return False
@@ -191,7 +192,7 @@ def build_camera_site(
     workspace: np.ndarray,
     **known: Any,
 ) -> CameraSite:
-    """Return what decides about a camera's place.
+    """Return the data that determine a camera's place.
 
     Args:
         camera: As given.
@@ -199,7 +200,7 @@ def build_camera_site(
         reach: Poses of the robot.
         demands: Obstacles, and whether the robot's own solids count.
         workspace: Positions (M, na) where accuracy counts.
-        **known: Of `build_design`: fix, free, device, tool, weighted.
+        **known: Arguments of `build_design`: fix, free, device, tool, weighted.
     """
     noise = _NOISE if camera.turned else _NOISE[:1]
     design = build_design(geometry, reach.q, noise, frames=camera.frames, workspace=workspace, **known)
@@ -273,15 +274,15 @@ def place_camera(
 
     Args:
         site: Camera, poses, obstacles.
-        n: Poses that will be measured; with `auto`, places are compared with three times the fewest.
-        goal: What is made best.
-        criterion: By which poses are chosen, as in `choose_poses`.
-        seed: Of the search.
-        progress: Told what is being done.
+        n: Number of poses that will be measured; with `auto`, places are compared with three times the fewest.
+        goal: Quantity to be optimised.
+        criterion: Criterion by which poses are chosen, as in `choose_poses`.
+        seed: Seed of the search.
+        progress: Called with a description of each step.
 
     Raises:
-        InputError: Nothing of the camera is to be chosen, or too few poses are asked for.
-        CannotAnswer: From no place are enough poses seen; says mostly why.
+        InputError: Neither place nor direction of the camera is to be chosen, or too few poses are asked for.
+        CannotAnswer: No place sees enough poses; the message names the most frequent reason.
     """
     if site.camera.places is None:
         raise InputError("missing_input", "nothing of the camera is to be chosen; state it with `choose` in its file")
@@ -309,7 +310,7 @@ def place_camera(
 
 
 def _stand(camera: Camera, place: np.ndarray, look_at: np.ndarray) -> Camera:
-    """Return a camera that stands at a place and looks at a point."""
+    """Return a camera placed at a point and directed at another."""
     return replace(camera, pose=build_camera_frame(place, look_at, np.array(camera.up)))
 
 
@@ -323,7 +324,7 @@ def _rank(view: CameraView, goal: Goal) -> float:
 
 
 def _judge(site: CameraSite, camera: Camera, n: int, criterion: str) -> CameraView:
-    """Return what a camera sees, and the predicted error of `n` of these poses where there are so many."""
+    """Return a camera's view, with the predicted error of `n` of the poses in sight if there are so many."""
     seen, _ = site.find_seen(camera)
     rms = float("nan")
     if len(seen) >= n:
@@ -349,9 +350,9 @@ class _Search:
 
     Args:
         site: Camera, and the poses that are looked at.
-        n: Poses that a predicted error is of.
-        goal: What is made best.
-        rng: Of the places.
+        n: Number of poses that a predicted error refers to.
+        goal: Quantity to be optimised.
+        rng: Random generator of the places.
     """
 
     def __init__(self, site: CameraSite, n: int, goal: Goal, rng: np.random.Generator) -> None:
@@ -377,7 +378,7 @@ class _Search:
         return found
 
     def draw(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield places spread over the ranges; every other looks at the middle of what faces it, the rest at one target."""
+        """Yield places spread over the ranges; half look at the middle of the targets that face them, half at one target."""
         even = qmc.Sobol(3, scramble=False).random_base2(_DRAWN_POWER)
         for k, share in enumerate((even + self.rng.random(3)) % 1.0):  # Cranley & Patterson 1976
             place = self.round(self.low + share * (self.high - self.low))
@@ -398,11 +399,11 @@ class _Search:
         return np.clip(np.round(place, _DIGITS), self.low, self.high)
 
     def holds(self, place: np.ndarray) -> bool:
-        """Return whether a place lies in the ranges."""
+        """Return whether a place is within the ranges."""
         return bool(((place >= self.low) & (place <= self.high)).all())
 
     def improve(self, value: float, stand: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Return a place and a point looked at after random steps, each kept where it is better."""
+        """Return a place and a point looked at after random steps, each kept if it is better."""
         for step in np.geomspace(*_SPREAD, _STEPS):
             place = self.round(stand[0] + step * (self.high - self.low) * self.rng.standard_normal(3))
             look_at = np.round(stand[1] + step * self.size * self.rng.standard_normal(3), _DIGITS)
@@ -412,7 +413,7 @@ class _Search:
         return stand
 
     def value(self, place: np.ndarray, look_at: np.ndarray) -> float:
-        """Return how good a place and a direction are, minus infinity where a camera cannot stand so."""
+        """Return how good a place and a direction are, minus infinity if a camera cannot be placed so."""
         self.tried += 1
         if not self.is_free(place):
             self.reasons["in an obstacle or in the robot's way"] += self.site.reach.n
@@ -426,7 +427,7 @@ class _Search:
         return _rank(view, self.goal)
 
     def is_free(self, place: np.ndarray) -> bool:
-        """Return whether the camera may stand at a place; where it stands already it may."""
+        """Return whether a place is free for the camera; its given place counts as free if the place is fixed."""
         return self.fixed or self.site.is_free(place)
 
 

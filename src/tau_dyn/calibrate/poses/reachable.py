@@ -1,7 +1,7 @@
 """Candidate poses: a grid over the workspace or positions spread over the joints' travel, and which of them a device sees.
 
-The machine's dimensions are only about known, so candidates keep a safety distance from obstacles, from the workspace's border
-and from the ends of the joints' travel, and a safety angle from the ball joints' limits (thesis 5.6).
+The machine's dimensions are only approximately known, so candidates keep a safety distance from obstacles, from the workspace's
+border and from the ends of the joints' travel, and a safety angle from the ball joints' limits (thesis 5.6).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from tau_dyn.kinematics.workspace import (
 from tau_dyn.mechanism import DEFAULT_ANGLE, Poses
 
 WANTED = 1000
-"""Candidates that are enough to choose a hundred poses from."""
+"""Number of candidates that is sufficient for a choice of a hundred poses."""
 TILT = float(np.deg2rad(10.0))
 _CELLS = 24  # coarse cells along the longest side of the workspace
 _DRAWN = 4
@@ -39,12 +39,12 @@ _DRAWN = 4
 
 @dataclass(frozen=True)
 class Safety:
-    """What candidates keep from everything, because the robot's dimensions are only about known.
+    """Safety margins of candidates, because the robot's dimensions are only approximately known.
 
     Attributes:
-        distance: From obstacles and the workspace's border [m].
-        angle: From the ball joints' limits [rad].
-        travel: From each end of a joint's travel, as a share of it.
+        distance: Distance from obstacles and the workspace's border [m].
+        angle: Distance from the ball joints' limits [rad].
+        travel: Distance from each end of a joint's travel, as a share of it.
     """
 
     distance: float = 0.05
@@ -52,7 +52,7 @@ class Safety:
     travel: float = 0.02
 
     def __post_init__(self) -> None:
-        """Refuse numbers that make no sense."""
+        """Refuse margins out of range."""
         if not (0 <= self.distance < 1e3 and 0 <= self.angle < np.pi / 2 and 0 <= self.travel < 0.5):
             raise InputError(
                 "invalid_value",
@@ -86,7 +86,7 @@ class Reachable:
     Attributes:
         q: Actuated positions (N, na).
         tool: Tool poses (N).
-        check: Judges further positions and moves, with the same margins but for the border's.
+        check: Check of further positions and moves, with the same margins except for the border.
         warnings: Sentences.
     """
 
@@ -115,15 +115,15 @@ def find_reachable(
 
     Args:
         machine: The robot.
-        demands: What they must satisfy.
-        safety: Margins on top.
-        wanted: About how many; the grid is made so fine.
+        demands: Conditions that they must satisfy.
+        safety: Additional margins.
+        wanted: Approximate number of poses; it determines the grid.
         tilt: Angle by which a plate that can turn is tilted and turned about each axis [rad].
-        seed: Of what is spread at random.
-        progress: Told what is being done.
+        seed: Seed of random samples.
+        progress: Called with a description of each step.
 
     Raises:
-        CannotAnswer: There is none.
+        CannotAnswer: No pose satisfies the demands.
     """
     safety = safety if safety is not None else Safety()
     strict = safety.apply(demands if demands is not None else PoseRequirements())
@@ -177,14 +177,14 @@ def _on_grid(
         found_q.append(judged.q[good])
         positions.append(places[good])
         rotations.append(rotation[good])
-    said = tuple(w for w in space.warnings if "resolution" not in w)  # every candidate was judged by itself
+    said = tuple(w for w in space.warnings if "resolution" not in w)  # every candidate was checked by itself
     return np.concatenate(found_q), Poses(np.concatenate(positions), np.concatenate(rotations)), said
 
 
 def _within(
     places: np.ndarray, rotation: np.ndarray, shape: tuple[int, ...], judge: PoseChecker, distance: float
 ) -> np.ndarray:
-    """Return where (N,) the tool can also be a distance away to all sides: not near the workspace's border."""
+    """Return whether the tool (N,) can also move by a distance to all sides, so that it is not near the workspace's border."""
     good = np.ones(len(places), bool)
     if distance <= 0:
         return good
@@ -233,7 +233,7 @@ _FREE = 0.02  # [m] before the mark that may be hidden: the target's own mount
 
 
 def find_blocking(device: MeasuringDevice, tool: Poses, around: Surroundings) -> np.ndarray:
-    """Return the obstacle in which a device would stand at each tool pose (N,), '' where it stands free."""
+    """Return the obstacle that contains the device at each tool pose (N,), '' if no obstacle does."""
     out, places = np.full(len(tool.position), SEEN, dtype=object), device.find_places(tool)
     if places is None:
         return out
@@ -246,14 +246,14 @@ def find_blocking(device: MeasuringDevice, tool: Poses, around: Surroundings) ->
 def find_occlusions(
     device: MeasuringDevice, tool: Poses, q: np.ndarray, around: Surroundings, machine: WorkspaceModel | None
 ) -> np.ndarray:
-    """Return what hides the target at each pose (N,), '' where nothing does.
+    """Return the reason why the target is hidden at each pose (N,), `hidden by` and the solid; '' if it is not hidden.
 
     Args:
-        device: Looks.
+        device: The measuring device.
         tool: Tool poses (N).
         q: Actuated positions there (N, na).
-        around: Obstacles; zones that only the tool must keep out of hide nothing.
-        machine: The robot, whose own solids hide as well; None leaves them out.
+        around: Obstacles; zones that only the tool must keep out of do not block the view.
+        machine: The robot, whose own solids may hide the target; None leaves them out.
     """
     out, places = np.full(len(q), SEEN, dtype=object), device.find_places(tool)
     if places is None or not len(q):
@@ -309,11 +309,11 @@ class MeasurablePoses:
 
     Attributes:
         q: Actuated positions (N, na).
-        start: From where each is approached (N, na): itself, unless it touches something.
+        start: Position from which each is approached (N, na): itself, unless it is a touch.
         tool: Tool poses (N).
-        noise: Covariance of what is measured (N, m, m).
-        index: Which of the poses in reach each is, or was searched from (N,).
-        reasons: Why others are none, with their number, most frequent first.
+        noise: Covariance of the measurements (N, m, m).
+        index: Index of each among the poses in reach, or of the pose from which its search started (N,).
+        reasons: Reasons why other poses are excluded, with their number, most frequent first.
     """
 
     q: np.ndarray
@@ -329,8 +329,8 @@ class Visible:
     """Candidates that a device sees.
 
     Attributes:
-        index: Which of the reachable poses (n,).
-        reasons: Why the others are not, with their number, most frequent first.
+        index: Indices of the reachable poses that the device sees (n,).
+        reasons: Reasons why the others are not seen, with their number, most frequent first.
     """
 
     index: np.ndarray
@@ -344,13 +344,13 @@ def find_visible(
 
     Args:
         device: The device.
-        poses: Where the robot may be.
-        around: Obstacles that may stand between.
+        poses: Poses that the robot may take.
+        around: Obstacles that may block the view.
         machine: The robot, whose own solids may hide the target; None leaves them out.
 
     Raises:
-        InputError: The device stands in an obstacle.
-        CannotAnswer: It sees none of the poses; says mostly why.
+        InputError: The device is inside an obstacle.
+        CannotAnswer: It sees no pose; the message names the most frequent reason.
     """
     blocking = find_blocking(device, poses.tool, around)
     if (blocking != SEEN).all():

@@ -2,7 +2,7 @@
 
 A move takes as long as its slowest joint, so distances are the largest share of the travel. The tour starts at home: nearest
 neighbour first, then 2-opt until no reversal of a stretch makes it shorter. Moves that collide cost too much to be taken; where
-one remains, it goes through a place in between. A pose that nothing leads to is left out and named.
+one remains, it goes through a place in between. A pose without a free move to it is left out and named.
 """
 
 from __future__ import annotations
@@ -17,33 +17,33 @@ from tau_dyn.kinematics.workspace import INSIDE, InverseSolution, PoseChecker, P
 from tau_dyn.mechanism import Poses, forward_kinematics
 
 _STEPS = 40
-"""Places at which a move over the whole travel is looked at."""
+"""Number of places at which a move over the whole travel is checked."""
 
 
 class PathCheck:
-    """Judges positions as a workspace does, without inverse kinematics.
+    """Check of positions as in a workspace analysis, without inverse kinematics.
 
     Args:
         machine: The robot.
-        demands: What every place on the way must satisfy.
+        demands: Conditions that every place on the way must satisfy.
     """
 
     def __init__(self, machine: WorkspaceModel, demands: PoseRequirements) -> None:
-        """Prepare."""
+        """Prepare the check of positions."""
         self.machine = machine
         self._given = _Given(machine)
-        self._judge = PoseChecker(cast(WorkspaceModel, self._given), demands)  # it answers what the judge asks
+        self._judge = PoseChecker(cast(WorkspaceModel, self._given), demands)  # it has the methods that are called
         lower, upper = machine.robot.lower, machine.robot.upper
         self.travel = np.where(np.isfinite(upper - lower), upper - lower, 2 * np.pi)
 
     def poses(self, q: np.ndarray) -> tuple[Poses, np.ndarray]:
-        """Return tool poses at positions (N, na) and where there are any (N,)."""
+        """Return tool poses at positions (N, na) and whether they exist (N,)."""
         robot = self.machine.rods if self.machine.rods is not None else self.machine.robot
         found = forward_kinematics(robot, q)
         return found.poses, found.ok
 
     def reasons(self, q: np.ndarray) -> np.ndarray:
-        """Return why positions (N, na) are not allowed (N,), '' where they are."""
+        """Return why positions (N, na) are not allowed (N,), '' if they are."""
         poses, ok = self.poses(q)
         out = np.full(len(q), "out of reach", dtype=object)
         good = np.flatnonzero(ok)
@@ -54,7 +54,7 @@ class PathCheck:
         return out
 
     def blocked(self, start: np.ndarray, end: np.ndarray) -> list[str]:
-        """Return why each straight move from `start` to `end` (n, na) is not allowed, '' where it is."""
+        """Return why each straight move from `start` to `end` (n, na) is not allowed, '' if it is."""
         many = [
             max(2, int(np.ceil(_STEPS * np.max(np.abs(b - a) / self.travel)))) for a, b in zip(start, end, strict=True)
         ]
@@ -65,7 +65,7 @@ class PathCheck:
 
 
 class _Given:
-    """A machine whose positions are known already: the judge asks it for inverse kinematics and gets them."""
+    """A machine with known actuated positions, which it returns as its inverse kinematics."""
 
     def __init__(self, machine: WorkspaceModel) -> None:
         self.machine, self.robot, self.rods = machine, machine.robot, machine.rods
@@ -74,7 +74,7 @@ class _Given:
 
     def solve(self, poses: Poses) -> InverseSolution:
         n = len(poses.position)
-        now, self.q = self.q[:n], self.q[n:]  # the judge works in batches
+        now, self.q = self.q[:n], self.q[n:]  # the checker works in batches
         return InverseSolution(now, np.ones(n, bool), np.full(n, "", dtype=object), poses)
 
     def rates(self, q: np.ndarray, poses: Poses) -> Rates:
@@ -96,7 +96,7 @@ class _Given:
 _BLOCKED = 1e3  # added to the cost of a move that is not free, far above that of free ones
 _MAX_ITERATIONS = 12  # of improvement by exchange; bounds its time
 _BETWEEN = 40
-"""Places that are tried for a way round."""
+"""Number of places that are tried for a detour."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +106,8 @@ class Tour:
     Attributes:
         q: Actuated positions (k, na), without the start.
         pose: Index of the pose that is measured there (k,), -1 on the way.
-        left_out: Poses that nothing leads to, and why.
-        length: Of the tour, in whole travels of the slowest joint.
+        left_out: Poses that no free move leads to, and why.
+        length: Length of the tour, in whole travels of the slowest joint.
         as_given: The same in the order given, collisions not counted.
     """
 
@@ -123,8 +123,8 @@ def plan_tour(q: np.ndarray, start: np.ndarray, check: PathCheck, ways: np.ndarr
 
     Args:
         q: Poses (n, na).
-        start: Where the robot stands (na,).
-        check: Judges moves.
+        start: Current position of the robot (na,).
+        check: Check of positions and moves.
         ways: Places (m, na) that moves may go through where the straight one is blocked.
     """
     points = np.vstack([start, q])
@@ -150,9 +150,9 @@ def approach_poses(tour: Tour, q: np.ndarray, travel: np.ndarray) -> Tour:
     """Return a tour that enters each pose (n, na) from its place of the tour and goes back to it; poses at their place stay.
 
     Args:
-        tour: Over the places before the poses.
+        tour: Tour over the places before the poses.
         q: The poses themselves (n, na).
-        travel: Of the joints (na,).
+        travel: Travel of the joints (na,).
     """
     places, pose, length = [], [], tour.length
     for place, k in zip(tour.q, tour.pose, strict=True):
@@ -194,7 +194,7 @@ def _two_opt(order: np.ndarray, cost: np.ndarray) -> np.ndarray:
 def _look(
     points: np.ndarray, order: list[int], check: PathCheck, known: dict[tuple[int, int], str]
 ) -> list[tuple[int, int]]:
-    """Judge the moves of a tour that were not judged yet, and return those that are blocked."""
+    """Check the moves of a tour that were not checked yet, and return those that are blocked."""
     legs = [(min(a, b), max(a, b)) for a, b in zip(order[:-1], order[1:], strict=True)]
     new = [leg for leg in dict.fromkeys(legs) if leg not in known]
     if new:
@@ -206,7 +206,7 @@ def _look(
 def _walk(
     points: np.ndarray, order: list[int], check: PathCheck, known: dict[tuple[int, int], str], ways: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, dict[int, str]]:
-    """Follow a tour, going round what is in the way."""
+    """Follow a tour, with detours around obstacles."""
     places, pose, left_out, here = [], [], {}, order[0]
     for there in order[1:]:
         leg = (min(here, there), max(here, there))
