@@ -1,8 +1,8 @@
-"""Corrected joint positions for a controller that goes on believing in the nominal robot.
+"""Corrected joint positions for a controller that computes with the nominal robot.
 
-The controller asks for `q`, meaning that the tool should be where the nominal robot would have it. The calibrated robot
-is there at other positions. `exact` finds them by Newton on the calibrated model, `theta` its parameters and `X` the
-commanded part of the pose:
+The controller commands `q`, so that the tool of the nominal robot would be at the desired pose. The calibrated robot
+reaches this pose at other positions. `exact` finds them by Newton's method on the calibrated model, with its parameters
+`theta` and the commanded part `X` of the pose:
 
     X(theta, q_c) = X(theta_0, q).
 
@@ -12,7 +12,7 @@ commanded part of the pose:
     dX = S(q) (theta - theta_0),    q_c = q - J(q)^-1 dX.
 
 A robot with fewer than six joints commands only part of the pose: x of a parallelogram, x y z of a Delta, x y z and rz
-of an H4. What the errors do to the rest cannot be corrected, only foreseen (`remaining`).
+of an H4. The errors of the other part cannot be corrected, only predicted (`remaining`).
 """
 
 from __future__ import annotations
@@ -219,7 +219,7 @@ def build_compensation(
         geometry: Its geometry, as it was fitted.
         theta: Calibrated parameters (p,), such as `fit(...).theta`.
         method: 'exact' or 'linear'.
-        axes: Commanded part of the pose, one name a joint (`x y z rx ry rz`); by default what the
+        axes: Commanded part of the pose, one name a joint (`x y z rx ry rz`); by default the coordinates that the
             kinematics command, or all six.
         nominal: Parameters that the controller computes with (p,); the robot file's unless given.
         limits: Whether positions beyond the joints' limits are refused.

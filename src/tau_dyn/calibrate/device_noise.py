@@ -1,7 +1,7 @@
-"""How exact each of several devices and fixtures is: a fit weighs a wire, a tracker and a pin by what each one leaves.
+"""Accuracy of each of several devices and fixtures: a fit weights a wire, a tracker and a pin by their own residuals.
 
-The scatter of a device is that of its residuals by what the fitted parameters leave of them. Devices of one kind are equally
-exact unless an F test tells them apart. Weights and fit are found in turn (iterated weighted least squares; Carroll & Ruppert
+The variance of a device is the sum of its squared residuals over their degrees of freedom. Devices of one kind are equally
+accurate unless an F test separates them. Weights and fit are computed in turn (iterated weighted least squares; Carroll & Ruppert
 1988, 2).
 """
 
@@ -81,7 +81,7 @@ def _test_alike(scatter: _Scatter, alike: np.ndarray, k: int) -> float:
 
 
 def _measure_scatter(fitted: GeometryFit) -> _Scatter:
-    """Return what the residuals of each device leave; measurements without weight take no part."""
+    """Return each device's sum of squared residuals and degrees of freedom; measurements without weight do not count."""
     poses, n, m = fitted.poses, *fitted.residuals.shape
     used = fitted.state.ok & (fitted.weights > 0)
     square = np.where(used, fitted.weights * np.sum((fitted.residuals / fitted.sigma) ** 2, axis=1), 0.0)

@@ -179,7 +179,7 @@ class DeviceFrames:
         return *pick(self.device, device), rotation, translation
 
     def _of_encoders(self, device: np.ndarray) -> np.ndarray:
-        """Tell which poses (N,) an encoder measured, by their devices' numbers."""
+        """Return which poses (N,) an encoder measured, by their devices' numbers."""
         if not set(self.kinds) & set(ENCODERS):
             return np.zeros(len(device), bool)
         return np.array([kind in ENCODERS for kind in self.kinds])[np.minimum(device, len(self.kinds) - 1)]
@@ -234,6 +234,6 @@ _FLAT = 1e-3
 
 
 def is_flat(points: np.ndarray) -> bool:
-    """Tell whether points (N, 3) lie in a plane."""
+    """Return whether points (N, 3) lie in a plane."""
     s = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(len(s) < 3 or s[2] < _FLAT * s[0])

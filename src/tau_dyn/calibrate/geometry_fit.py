@@ -282,7 +282,7 @@ class GeometryFit(Brief):
         return PoseErrors(position, None, relative, poses.configuration, errors.oriented, poses.numbers, of_tool)
 
     def _is_known(self, poses: PoseSet) -> np.ndarray:
-        """Tell which poses (N,) were measured by devices that the fitted poses show."""
+        """Return which poses (N,) were measured by devices that the fitted poses show."""
         return poses.device < len(self.poses.devices)
 
     def _keep_known(self, poses: PoseSet, known: np.ndarray) -> PoseSet:

@@ -195,7 +195,7 @@ def transfer_state(start: GeometryFit, names: Sequence[str], nominal: np.ndarray
 
 
 def _means(pattern: str, known: Sequence[str]) -> bool:
-    """Tell whether a pattern can match something in this model; dimensions that a smaller model ties are skipped silently."""
+    """Return whether a pattern can match something in this model; dimensions that a smaller model ties are skipped silently."""
     return any(fnmatchcase(name, pattern) for name in known)
 
 

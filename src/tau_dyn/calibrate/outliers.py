@@ -232,7 +232,7 @@ def fit_robustly(family: Family, poses: PoseSet, options: Options, model: str | 
 
 
 def _can_place_each(poses: PoseSet) -> bool:
-    """Tell whether there are campaigns, each with poses enough for a device frame of its own."""
+    """Return whether there are campaigns, each with poses enough for a device frame of its own."""
     own = len(poses.campaigns) > 1 and len(poses.devices) == 1
     return own and np.bincount(poses.campaign, minlength=len(poses.campaigns)).min() > _MIN_POSES
 
