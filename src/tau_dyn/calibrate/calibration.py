@@ -101,7 +101,7 @@ def calibrate(
             the held-out error is judged; by default from the poses' columns of standard errors, or from repeated poses.
         prior: How exactly the robot is taken to be built to its file, one standard deviation of lengths [m] and perhaps angles
             [rad]; 10 mm and 10 mrad unless given.
-        seed: Of folds, splits and bootstrap.
+        seed: Seed of folds, splits and bootstrap.
         progress: Called with a description of each step.
 
     Raises:

@@ -287,8 +287,8 @@ _RELATIVE_CHANGE_TOL = 1e-2  # of the noise: largest change in the last iteratio
 _SETTLED_NOISE_CHANGE = 0.2  # relative change of the noise below which an iteration runs to convergence
 _SLOW_GAIN = 0.02
 """Gain of the last iteration, for each unknown, below which the fit counts as converged. The sum at the truth is above the
-minimum by about one for each unknown, so that predictions still move by a seventh of their standard errors: a curved valley that poses
-hardly show, such as the target's place on a plate that does not turn."""
+minimum by about one for each unknown, so that predictions still move by a seventh of their standard errors: a curved valley
+that poses hardly determine, such as the target's place on a plate that does not turn."""
 _FREE_FRAMES = 1e3  # ratio of the prior standard deviations of frames and dimensions
 _UNIDENTIFIABLE_PRIOR_WEIGHT = 1e5  # prior of parameters that poses do not identify, in units of 1 / scale
 _FULL_STEPS = 4  # undamped Gauss-Newton steps along a curved valley

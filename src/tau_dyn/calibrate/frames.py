@@ -1,11 +1,11 @@
-"""Where the measuring device stands and where its target sits on the tool: what turns a robot's tool pose into a measurement.
+"""Frames of the measuring device and of its target on the tool, which convert a robot's tool pose into a measurement.
 
     R_m = R_D R R_T,    p_m = p_D + R_D (p + R p_T),
 
 with `(R_D, p_D)` the robot's base in the device's frame (X_DB) and `(R_T, p_T)` the target in the tool frame (thesis (5.3)).
-Rotations change on their manifold: `R_D <- Exp(d) R_D`, `R_T <- R_T Exp(d)`. Campaigns may each have frames of their own.
-A device that tells a distance, or a fixture that the target touches, has such a frame too; what its numbers do not show stays.
-An encoder of a passive joint has none: both are the identity.
+Rotations change on their manifold: `R_D <- Exp(d) R_D`, `R_T <- R_T Exp(d)`. Each campaign may have its own frames.
+A distance-measuring device, or a fixture that the target touches, has such a frame too; the part of it that the measurements do
+not determine is fixed. An encoder of a passive joint has no frames: both are the identity.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Frame(NamedTuple):
 
     @property
     def inverse(self) -> Frame:
-        """The placement the other way round."""
+        """The inverse placement."""
         return Frame(self.rotation.T, -self.rotation.T @ self.translation)
 
 
@@ -42,13 +42,13 @@ IDENTITY = Frame(np.eye(3), np.zeros(3))
 class DeviceFrames:
     """Device and target: one of each, a device for every campaign, a target for every campaign or for every target.
 
-    Methods take which of them each pose has: `setup` (N, 2), or (N,) where both are numbered alike.
+    Methods take the device and the target of each pose: `setup` (N, 2), or (N,) if both have the same number.
 
     Attributes:
-        device: The robot's base frame in the device's.
+        device: The robot's base frame in the device's frame.
         tool: The target in the tool frame.
-        kinds: What each device tells, a name of `KINDS`; all poses unless given.
-        lengths: Offset of distances or radius of a ball of each device [m], zero of an encoder [rad or m]; zeros unless given.
+        kinds: Kind of measurement of each device, a name of `KINDS`; by default all poses.
+        lengths: Offset of distances or radius of a ball of each device [m], zero of an encoder [rad or m]; zeros by default.
     """
 
     device: tuple[Frame, ...] = (IDENTITY,)
@@ -57,13 +57,13 @@ class DeviceFrames:
     lengths: tuple[float, ...] = ()
 
     def measured(self, base: Poses, setup: np.ndarray) -> Poses:
-        """Return what the device sees (N) of tool poses in the robot's base frame."""
+        """Return the measured target poses (N) from tool poses in the robot's base frame."""
         rd, td, rt, tt = self.of_each(setup)
         position = base.position + np.einsum("nij,nj->ni", base.rotation, tt)
         return Poses(td + np.einsum("nij,nj->ni", rd, position), rd @ base.rotation @ rt)
 
     def in_base(self, measured: Poses, setup: np.ndarray) -> Poses:
-        """Return tool poses in the robot's base frame (N) from what the device saw; needs orientation."""
+        """Return tool poses in the robot's base frame (N) from measured target poses; needs orientation."""
         rd, td, rt, tt = self.of_each(setup)
         back = np.swapaxes(rd, 1, 2)
         rotation = back @ measured.rotation @ np.swapaxes(rt, 1, 2)
@@ -138,7 +138,7 @@ class DeviceFrames:
         return DeviceFrames(d, t, self.kinds, tuple(new))
 
     def apart(self, devices: int, tools: int) -> DeviceFrames:
-        """Return as many frames; where there was one, it stands for all."""
+        """Return frames for so many devices and targets; a single frame is repeated for all."""
         out = self if len(self.tool) == tools else replace(self, tool=self.tool[:1] * tools)
         if len(self.device) == devices:
             return out

@@ -23,16 +23,16 @@ from tau_dyn.results import Brief
 from tau_dyn.robot import Robot
 
 KNOWN_BEFOREHAND = 1000
-"""Priority of a parameter that its `prior_stderr` tells where poses do not: never dropped, its uncertainty always counts."""
+"""Priority of a parameter with prior knowledge (`prior_stderr`): it is never dropped, and its uncertainty always counts."""
 
 
 class Predicted(NamedTuple):
-    """Where a model says that the tool is.
+    """Tool poses predicted by a model.
 
     Attributes:
         poses: Tool poses (N) in the robot's base frame; nan where not `ok`.
         ok: Whether a pose was found (N,).
-        reason: Why not (N,), '' where it was.
+        reason: Why no pose was found (N,), '' if one was found.
     """
 
     poses: Poses
@@ -41,13 +41,13 @@ class Predicted(NamedTuple):
 
 
 class Closure(NamedTuple):
-    """How far tool poses leave the loops open, and its derivatives.
+    """Gaps of the loops at given tool poses, and their derivatives.
 
     Attributes:
-        gap: (N, m) [m].
-        by_parameter: (N, m, p).
-        by_pose: By the tool's twist (N, m, 6).
-        by_joint: By the actuated joints (N, m, na).
+        gap: Gaps (N, m) [m].
+        by_parameter: Derivative by the parameters (N, m, p).
+        by_pose: Derivative by the tool's twist (N, m, 6).
+        by_joint: Derivative by the actuated joints (N, m, na).
     """
 
     gap: np.ndarray
@@ -59,13 +59,13 @@ class Closure(NamedTuple):
 class Geometry(Brief, ABC):
     """A mechanism whose dimensions are parameters.
 
-    Most have no closure of their own (a tree's loops involve passive joints, which nobody measures), and nothing that a robot
-    file or a compensation file could hold; that is what is answered here.
+    The defaults are those of a mechanism without a closure residual (a tree's loops involve passive joints, which are not
+    measured) and without a robot file or a compensation file that could hold it.
 
     Attributes:
-        parameters: Nominal values; units m, rad, 1. Parameters that are not `free` stay at their value.
-        priority: Whole numbers (p,): where parameters depend on each other, those with smaller ones are kept.
-        beyond_file: What of it no robot file can hold, '' where one can hold everything.
+        parameters: Nominal values; units m, rad, 1. Parameters that are not `free` are fixed at their value.
+        priority: Whole numbers (p,): among dependent parameters those with smaller numbers are kept.
+        beyond_file: The part of the geometry that no robot file can hold, '' if a file can hold everything.
     """
 
     parameters: Parameters
@@ -105,7 +105,7 @@ class Geometry(Brief, ABC):
         return self.robot.position_units
 
     def under(self, loads: np.ndarray) -> Geometry:
-        """Return the geometry itself: nothing of it yields."""
+        """Return the geometry itself: it has no elastic parts."""
         return self
 
     def split_springs(self, theta: np.ndarray) -> tuple[Geometry, np.ndarray, dict[str, tuple[str, float]]]:

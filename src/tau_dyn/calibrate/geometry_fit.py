@@ -43,7 +43,7 @@ _UNKNOWN_FRAME = 1.0
 
 
 def count_required_poses(rank: int, per_pose: int) -> int:
-    """Return the fewest poses that leave at least one pose's numbers over for judging the noise."""
+    """Return the smallest number of poses that leaves at least one pose's numbers for the estimate of the noise."""
     return -(-rank // per_pose) + 1
 
 
@@ -51,7 +51,7 @@ def check_count(problem: Problem, what: str) -> None:
     """Refuse fewer measurements than unknowns.
 
     Raises:
-        InputError: Too few poses; says how many are needed.
+        InputError: Too few poses; the message gives the required number.
     """
     poses, m = problem.poses, int(np.median(problem.numbers.sum(axis=1)))
     if poses.n >= count_required_poses(int(problem.unknowns.free.sum()), m):
@@ -114,22 +114,22 @@ class GeometryFit(Brief):
     """A geometry fitted to poses.
 
     Attributes:
-        geometry: What was fitted.
-        poses: To what.
-        unknowns: All unknowns and which were free.
-        state: Their values, and predicted tool poses.
+        geometry: The fitted geometry.
+        poses: The poses that it was fitted to.
+        unknowns: All unknowns and which of them were free.
+        state: Values of the unknowns, and predicted tool poses.
         cov: Covariance of the free unknowns (f, f) in the order of `identifiability.names`; zero where not
             identifiable.
-        residuals: (N, m), as the kind says.
-        kind: Of the residuals.
+        residuals: Residuals (N, m) of the given kind.
+        kind: Kind of the residuals.
         noise: Standard deviation of each block of residuals [m, rad], at poses of the median stated standard error.
-        weights: Of the poses (N,).
-        identifiability: What could be told.
+        weights: Weights of the poses (N,).
+        identifiability: Identifiable unknowns.
         columns: Whitened derivatives of the kept unknowns (N, m, r), for predictions and cross-validation.
-        prior_weights: Of the prior of the kept unknowns (r,), over their standard deviation.
-        prior_pulls: How far these are from nominal (r,), in standard deviations.
-        steps: Gauss-Newton steps taken.
-        converged: Whether it came to rest.
+        prior_weights: Weights of the prior of the kept unknowns (r,), over their standard deviation.
+        prior_pulls: Deviation of these from nominal (r,), in standard deviations.
+        steps: Number of Gauss-Newton steps.
+        converged: Whether the fit converged.
     """
 
     geometry: Geometry
@@ -226,9 +226,9 @@ class GeometryFit(Brief):
 
     @property
     def prediction_cov(self) -> np.ndarray:
-        """Covariance of the free unknowns (f, f) for predictions elsewhere: with what these poses do not determine.
+        """Covariance of the free unknowns (f, f) for predictions at other poses, with the undetermined directions.
 
-        A direction that they do not show is as uncertain as the robot file; along those of the frames nothing is known.
+        A direction that these poses do not determine is as uncertain as the robot file; those of the frames have no prior knowledge.
         """
         found, free = self.identifiability, self.unknowns.free
         n_geometry, ends = self.unknowns.n_geometry, self.unknowns.n_frames
@@ -248,13 +248,13 @@ class GeometryFit(Brief):
         return self.cov / np.outer(safe, safe)
 
     def predict(self, poses: PoseSet) -> FitState:
-        """Return where this fit expects the tool at other poses' joints, in the robot's base frame."""
+        """Return the predicted tool poses at other poses' joint positions, in the robot's base frame."""
         q = compute_actuated_positions(poses, self.state.slack)
         found = predict_measured(self.geometry, self.theta, poses, q)
         return FitState(self.theta, self.frames, found.poses, found.ok, self.state.slack)
 
     def seen(self, poses: PoseSet, state: FitState | None = None) -> Poses:
-        """Return what the device should see of other poses."""
+        """Return the predicted measurements of other poses."""
         state = self.predict(poses) if state is None else state
         return self.frames.measured(state.base, poses.setup)
 
@@ -305,7 +305,7 @@ class GeometryFit(Brief):
 
         Args:
             q: Actuated positions (N, na) [m or rad].
-            loads: At the tool (N, 7) as in `PoseSet`, none unless given.
+            loads: Loads at the tool (N, 7) as in `PoseSet`; no load by default.
         """
         geometry = self.geometry if loads is None else self.geometry.under(loads)
         at, base = np.zeros((len(q), 2), int), geometry.forward(self.theta, q).poses
@@ -314,10 +314,10 @@ class GeometryFit(Brief):
         return np.sqrt(np.maximum(np.einsum("nif,fg,nig->n", columns, self.cov, columns), 0.0))
 
     def compute_prediction_columns(self, poses: PoseSet, base: Poses) -> np.ndarray:
-        """Return the derivative (N, 6, f) of what the device should measure by the free unknowns, in the middle of the backlash.
+        """Return the derivative (N, 6, f) of the predicted measurement by the free unknowns, in the middle of the backlash.
 
         Args:
-            poses: What was measured.
+            poses: Measured poses.
             base: Predicted tool poses there (N) in the robot's base frame.
         """
         known, u = self._is_known(poses), self.unknowns
@@ -351,7 +351,7 @@ class GeometryFit(Brief):
         """Return the derivative (N, 6, P) of the target's pose in the device's frame by all unknowns, but not by lengths.
 
         Args:
-            twist: Of the tool in the base's axes by the geometry's parameters (N, 6, p).
+            twist: Twist of the tool in the base's axes per geometry parameter (N, 6, p).
             base: Tool poses (N).
             setup: Device and target of each (N, 2).
         """
@@ -382,10 +382,10 @@ def fit_geometry_to_poses(
     """Fit a geometry's parameters, the measuring device's frame and the target's place to measured poses.
 
     Args:
-        geometry: Mechanism with its nominal parameters; those that are not `free` stay.
-        poses: What was measured; without orientations the positions alone are fitted.
-        fix: Names or patterns that stay.
-        free: Names or patterns that may change although they would stay.
+        geometry: Mechanism with its nominal parameters; those that are not `free` are fixed.
+        poses: Measured poses; without orientations only the positions are fitted.
+        fix: Names or patterns of parameters that are fixed.
+        free: Names or patterns of parameters that are free although they are fixed by default.
         residual: `forward`, `closure` or `inverse`.
         robust: Weights against bad poses: `none`, `huber` or `biweight`.
         device: Whether the device's frame is unknown; otherwise it is the robot's base frame (or `frames`).
@@ -394,13 +394,13 @@ def fit_geometry_to_poses(
         noise: Standard deviations of each block of residuals (position [m], orientation [rad]); estimated unless given.
         start: A fit of the same geometry, or its state, to start from.
         frames: Device and target to start from; found by aligning the nominal robot unless given.
-        apart: Whether every campaign has a device frame, a target of its own.
+        apart: Whether every campaign has its own device frame, and its own target.
         prior: Standard deviations of the robot's lengths [m] and perhaps angles [rad]; 10 mm and 10 mrad unless given.
         what: The model's name, for messages.
 
     Raises:
         InputError: Poses that do not fit the robot, too few of them, or a left-handed device.
-        CannotAnswer: The geometry cannot reach the poses from where the fit stands.
+        CannotAnswer: The geometry cannot reach the poses from the current state of the fit.
     """
     turned = poses.rotation is not None and geometry.orients
     state = _starting_state(geometry, poses, start, frames, device, tool=tool and geometry.orients)
@@ -423,7 +423,7 @@ def fit_geometry_to_poses(
 
 
 def _solve(problem: Problem, robust: str, noise: tuple[float, ...] | None, state: FitState, what: str) -> GeometryFit:
-    """Return the fit of a problem from a state, with what cannot be told at nominal and the others' covariance."""
+    """Return the fit of a problem from a state, with unidentifiable unknowns at nominal and the covariance of the others."""
     poses = problem.poses
     state, weighted, steps, converged = descend_in_rounds(problem, robust, noise, state)
     found = weighted.identify(state)
@@ -483,13 +483,13 @@ CHANGE = 5e-5
 
 
 class Sensitivity(NamedTuple):
-    """What a change of one parameter does.
+    """Effect of a change of one parameter on the tool.
 
     Attributes:
-        name: Of the parameter.
+        name: Name of the parameter.
         position: Accumulated tool displacement over all poses, both signs [m], `S_pos` of (5.8).
         rotation: Accumulated tool rotation [rad].
-        closure: Accumulated change of the closure residuals [m], nan where the mechanism has none.
+        closure: Accumulated change of the closure residuals [m], nan if the mechanism has no closure.
     """
 
     name: str
@@ -503,7 +503,7 @@ def compute_sensitivities(fitted: GeometryFit, change: float = CHANGE) -> tuple[
 
     Args:
         fitted: A fit.
-        change: Of each parameter, in its unit.
+        change: Change of each parameter, in its unit.
     """
     state = fitted.state
     ok = state.ok

@@ -1,4 +1,4 @@
-"""A model's name, and what the models of every mechanism have in common: which additions a robot and its poses can have."""
+"""Names of models, and the part that is common to all mechanisms: the additions that a robot and its poses can have."""
 
 from __future__ import annotations
 
@@ -73,10 +73,10 @@ class Family(ABC):
     Attributes:
         structures: Structures, smallest first.
         joints: Actuated joints.
-        poses: Measured poses, which tell campaigns, travel and approach.
-        screened: Additions that residuals may ask for.
+        poses: Measured poses, which give campaigns, travel and approach.
+        screened: Additions that are tested on the residuals.
         known: Additions that a name may have.
-        place: What messages call a place of an addition.
+        place: Word for a place of an addition in messages.
     """
 
     structures: tuple[str, ...]
@@ -122,7 +122,7 @@ class Family(ABC):
 
     def can_have(self, addition: str) -> tuple[str, ...]:
         """Return the joints that an addition makes sense for; of couplings the pairs `JOINT/OTHER`."""
-        if addition in BETWEEN_CAMPAIGNS:  # targets that are told apart have their own frames anyway
+        if addition in BETWEEN_CAMPAIGNS:  # separate targets have their own frames anyway
             own = addition == "tool_frame" and len(self.poses.targets) > 1
             several = len(self.poses.devices) > 1  # each of which has a frame of its own in every campaign
             return ("all",) if len(self.poses.campaigns) > 1 and not own and not several else ()
@@ -137,7 +137,7 @@ class Family(ABC):
         return WHY_NOT[addition]
 
     def move_with_base(self, q: np.ndarray, base: Poses) -> np.ndarray:
-        """Return the tool's twists (N, 6, k) of a base that turns in proportion to the robot's weight; none unless overridden.
+        """Return the tool's twists (N, 6, k) of a base that turns in proportion to the robot's weight; k = 0 unless overridden.
 
         Args:
             q: Actuated positions (N, na).
@@ -152,7 +152,7 @@ class Family(ABC):
 
     @cached_property
     def loading(self) -> JointLoading:
-        """What loads each joint over the poses."""
+        """Loads of each joint over the poses."""
         low, high = self.poses.q.min(axis=0), self.poses.q.max(axis=0)
         return JointLoading(StaticForces(self.nominal), low, high, self.poses.loads)
 

@@ -47,7 +47,7 @@ from tau_dyn.mechanism import NotRods, Poses, Rods, build_rods
 from tau_dyn.robot import Robot
 
 _KNOTS = 9  # along a guideway: waves of a quarter of the travel still have a shape
-_PERIOD = 0.1  # [m]: where a search has nothing better to start from
+_PERIOD = 0.1  # [m]: default start of a search
 
 
 class RodFamily(Family):
@@ -168,7 +168,7 @@ class RodFamily(Family):
         return constrain_parameters(base, together | lengths, left_out)
 
     def _superfluous(self, structure: str) -> list[str]:
-        """Return parameters that others say already: a slide's place where its rods are free, a turn's on a slide."""
+        """Return redundant parameters: the place of a slide whose rods are free, the place of a rotary joint on a slide."""
         joints = self.rods.numbers.joints
         if self.rods.numbers.arms:
             return []

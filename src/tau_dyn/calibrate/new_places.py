@@ -26,12 +26,12 @@ class NewPlace(NamedTuple):
     """A place fitted to its own rows.
 
     Attributes:
-        own: Which poses show it (N,).
-        poses: Those (n), as of the one device in `frames`.
-        frames: The place, and all targets.
-        residuals: Of each row (n, 3) [m], predicted by the others.
-        slope: Derivative (n, 3, r) by the numbers of the place that its rows show, orthonormal over the rows that place it.
-        kept: Which rows place it (n,).
+        own: Which poses were measured at the place (N,).
+        poses: Those poses (n), with the one device in `frames`.
+        frames: Frame of the place, and all targets.
+        residuals: Residual of each row (n, 3) [m], predicted by the others.
+        slope: Derivative (n, 3, r) by the components of the place that its rows determine, orthonormal over the fitted rows.
+        kept: Rows to which the place is fitted (n,).
     """
 
     own: np.ndarray
@@ -42,7 +42,7 @@ class NewPlace(NamedTuple):
     kept: np.ndarray
 
     def remove(self, columns: np.ndarray) -> np.ndarray:
-        """Return derivatives (n, 3, p) of the rows without what a change of the place explains."""
+        """Return derivatives (n, 3, p) of the rows without the part that a change of the place explains."""
         return columns - np.einsum("nir,mjr,mjp->nip", self.slope, self.slope[self.kept], columns[self.kept])
 
 

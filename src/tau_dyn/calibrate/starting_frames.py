@@ -27,21 +27,21 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import Poses
 
 _ALTERNATIONS = 20
-"""Fits of the device's frame and of the targets' places in turn; what is left to go shrinks by half or more each."""
+"""Number of alternating fits of the device's frame and of the targets' places; each halves the remaining change or more."""
 _MAX_EVALUATIONS = 60
 """Evaluations for each unknown of a descent to a start; a smooth one takes about ten."""
 _MAX_TARGET_M = 0.1
 """Distance of a target from the tool frame [m] that counts as much as one residual of a start: it decides along directions that
 hardly show, on a plate that hardly turns."""
 _MIRROR_GAIN = 5.0
-"""By how much better a mirrored device frame must fit before it is called wrong-handed."""
+"""Factor by which a mirrored device frame must fit better before the device is reported as left-handed."""
 
 
 def estimate_initial_frames(poses: PoseSet, nominal: Predicted, *, tool: bool = True) -> DeviceFrames:
-    """Return the device's frame in which the nominal robot's tool comes nearest to the measured poses.
+    """Return the device's frame in which the nominal robot's tool is nearest to the measured poses.
 
     Args:
-        poses: What was measured.
+        poses: Measured poses.
         nominal: Tool poses of the nominal robot (N).
         tool: Whether the target may be anywhere on a tool that turns.
 
@@ -76,13 +76,13 @@ def estimate_initial_frames(poses: PoseSet, nominal: Predicted, *, tool: bool = 
 def place_alone(
     poses: PoseSet, known: Predicted, targets: tuple[Frame, ...], noise: float | None = None
 ) -> DeviceFrames:
-    """Return the place of the one device of poses (N) that comes nearest to known tool poses (N), with targets that are known.
+    """Return the place of the one device of poses (N) at which its measurements best match known tool poses (N) and targets.
 
     Args:
-        poses: What the device measured.
+        poses: Measurements of the device.
         known: Tool poses in the robot's base frame.
         targets: Where the targets are on the tool.
-        noise: Standard error of a measurement [m], beyond which a residual counts by its size alone; squares unless given.
+        noise: Standard error of a measurement [m], beyond which a residual counts linearly; by default all residuals are squared.
     """
     position = known.poses.position + np.einsum(
         "nij,nj->ni", known.poses.rotation, DeviceFrames(tool=targets).of_each(poses.setup)[3]
@@ -355,7 +355,7 @@ def _each(poses: PoseSet) -> range:
 
 
 def _mean_of(rotations: np.ndarray) -> np.ndarray:
-    """Return the mean rotation (3, 3), none where there are no rotations."""
+    """Return the mean rotation (3, 3), the identity if there are no rotations."""
     return compute_mean_rotation(rotations) if len(rotations) else np.eye(3)
 
 

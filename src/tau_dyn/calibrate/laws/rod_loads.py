@@ -29,11 +29,11 @@ class RodLoads:
         self._remembered: tuple[bytes, np.ndarray] | None = None
 
     def __call__(self, q: np.ndarray, loads: np.ndarray | None = None) -> np.ndarray:
-        """Return the force of the rods on each slide (N, na, 3) [N], zero where the nominal robot cannot stand.
+        """Return the force of the rods on each slide (N, na, 3) [N], zero if the nominal robot cannot reach `q`.
 
         Args:
             q: Positions (N, na) [m or rad].
-            loads: Weight at the tool [kg], force [N] and moment [N m] on it in base axes (N, 7), or None.
+            loads: Mass at the tool [kg], force [N] and moment [N m] on it in base axes (N, 7), or None.
         """
         loads = np.zeros((len(q), 7)) if loads is None else loads
         key = q.tobytes() + loads.tobytes()
@@ -72,7 +72,7 @@ class RodLoads:
 
 
 def _mass(rod: str, rods: Sequence[str], masses: Mapping[str, np.ndarray]) -> float:
-    """Return a rod's mass [kg]; a link with several balls is several numbered rods, which share its mass alike."""
+    """Return a rod's mass [kg]; a link with several balls is several numbered rods, which share its mass equally."""
     link, number = f"{rod}_link", 1
     stem, _, index = rod.rpartition("_")
     if link not in masses and index.isdigit():
