@@ -1,12 +1,12 @@
-"""Which additions to a model the residuals ask for, before any is fitted: an F test on what their columns take away.
+"""Screening of model additions before any is fitted: an F test on the reduction of the residuals by their columns.
 
-Residuals and new columns are freed of everything that the fitted parameters could take up (`I - Q Q'`, `Q` a basis of their
-columns), so a guideway's offset is not taken for a wave. A cyclic error is looked for at all periods from one and a half ranges
-down to `_MIN_PERIOD_M`, which costs significance by their number. Reference: Draper & Smith 1998, 6; Scargle 1982.
+Residuals and new columns are projected off the fitted parameters (`I - Q Q'`, `Q` a basis of their columns), so a guideway's
+offset is not mistaken for a wave. A cyclic error is searched for at all periods from one and a half ranges down to
+`_MIN_PERIOD_M`; the p-value is corrected for their number. Reference: Draper & Smith 1998, 6; Scargle 1982.
 
 A joint whose encoder counts all of another joint's motion (an elbow driven from the base: the encoder measures against the
-ground, `x_3 = q_3 +- q_2`) makes a robot file miss its poses by a large part of its reach, and no fit of dimensions finds the
-way there. So each pair is tried with either sign and the file's dimensions, device and targets fitted in closed form.
+ground, `x_3 = q_3 +- q_2`) causes position errors of a large part of the reach, and no fit of dimensions converges
+from there. So each pair is tried with either sign at the file's dimensions, with device and targets fitted in closed form.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def find_unit_coupling(family: Family, poses: PoseSet) -> UnitCoupling | None:
 
 
 def _measure_misfit(family: Family, poses: PoseSet, spec: Spec) -> float:
-    """Return the trimmed rms error of the positions [m], inf where fewer than half of the poses are reached."""
+    """Return the trimmed rms error of the positions [m], inf if fewer than half of the poses are reached."""
     geometry = family.build(spec)
     found = geometry.forward(geometry.parameters.values, poses.q)
     return measure_misfit(poses, found.poses, found.ok, turns=geometry.orients).position
@@ -173,7 +173,7 @@ def find_rivals(
 
 
 def _build_columns(rest: _ProjectedResidual, family: Family, spec: Spec, hint: AdditionTest) -> np.ndarray:
-    """Return the whitened columns (rows, k) of an addition, a wave's at its period."""
+    """Return the whitened columns (rows, k) of an addition; those of a wave at its period."""
     if not hint.period:
         return _build_plain_columns(rest, family, spec, hint.addition, hint.joints)
     poses, a = rest.fitted.poses, family.joints.index(hint.joints[0])
@@ -189,7 +189,7 @@ def _by_joint(fitted: GeometryFit, q: np.ndarray, a: int) -> np.ndarray:
 
 
 def _list_taken(spec: Spec, addition: str) -> tuple[str, ...]:
-    """Return where a model has an addition; of couplings as `JOINT/OTHER`."""
+    """Return the places at which a model has an addition; `JOINT/OTHER` for couplings."""
     return tuple(joint.replace("=-", "/").replace("=", "/") for joint in spec.additions.get(addition, ()))
 
 
@@ -312,7 +312,7 @@ def _periodic(rest: _ProjectedResidual, family: Family, joint: str, addition: st
 
 
 def _reductions(rest: _ProjectedResidual, slope: np.ndarray, x: np.ndarray, frequencies: np.ndarray) -> np.ndarray:
-    """Return by how much a wave of each frequency reduces the residuals' squares."""
+    """Return the reduction of the residual sum of squares by a wave of each frequency."""
     phase = 2 * np.pi * x[:, None] * frequencies
     s, c = (rest.free(rest.twists(slope * wave[:, None])) for wave in (np.sin(phase), np.cos(phase)))
     ss, cc, sc = np.sum(s * s, axis=0), np.sum(c * c, axis=0), np.sum(s * c, axis=0)

@@ -99,8 +99,8 @@ def calibrate(
         tool: Whether the target's place on the tool is unknown.
         accuracy: Standard errors of a measured coordinate [m] and perhaps of an orientation about an axis [rad], against which
             the held-out error is judged; by default from the poses' columns of standard errors, or from repeated poses.
-        prior: How exactly the robot is taken to be built to its file, one standard deviation of lengths [m] and perhaps angles
-            [rad]; 10 mm and 10 mrad unless given.
+        prior: Prior standard deviations of the robot's lengths [m] and perhaps angles [rad] from its file; 10 mm and 10 mrad by
+            default.
         seed: Seed of folds, splits and bootstrap.
         progress: Called with a description of each step.
 
@@ -225,7 +225,7 @@ def _check_size(robot: Robot, poses: PoseSet) -> tuple[str, ...]:
 
 
 def propose_pose_columns(path: str | Path, robot: Robot) -> ColumnProposal | None:
-    """Return the column map proposed for a pose file, None where a file holds no poses of a robot.
+    """Return the column map proposed for a pose file, None if a file holds no poses of a robot.
 
     Args:
         path: CSV or Parquet.
@@ -240,7 +240,7 @@ def propose_pose_columns(path: str | Path, robot: Robot) -> ColumnProposal | Non
 def _find_convention(
     robot: Robot, poses: PoseSet, options: Options
 ) -> tuple[FoundReading | None, Geometry, tuple[np.ndarray, np.ndarray]]:
-    """Return how poses are meant, the geometry of the robot file, and the joints' limits."""
+    """Return the conventions of poses, the geometry of the robot file, and the joints' limits."""
     geometry, limits = get_family(robot, poses).build(Spec("frames")), (robot.lower, robot.upper)
     return find_reading(geometry, poses, limits, lambda some: _measure_left(robot, some, options)), geometry, limits
 
@@ -248,7 +248,7 @@ def _find_convention(
 def _reread(
     robot: Robot, poses: PoseSet, holdout: PoseSet | None, options: Options
 ) -> tuple[PoseSet, PoseSet | None, FoundReading | None, tuple[str, ...]]:
-    """Return training and held-out poses as their file means them, how that is found, and sentences."""
+    """Return training and held-out poses in the conventions of their file, the evidence for these, and sentences."""
     said: list[str] = []
     if holdout is not None and poses.rotation is None and holdout.rotation is not None:
         said.append(_describe_unused_orientation(poses, holdout))
@@ -318,7 +318,7 @@ def _describe_unused_orientation(poses: PoseSet, holdout: PoseSet) -> str:
 
 
 def _measure_left(robot: Robot, poses: PoseSet, options: Options) -> float:
-    """Return the error level that free dimensions leave of poses, positions and orientations together."""
+    """Return the error level of poses after a fit of all dimensions, positions and orientations together."""
     try:
         fitted = fit_robustly(get_family(robot, poses), poses, options, None)
     except (InputError, CannotAnswer):
@@ -331,7 +331,7 @@ def _settle_holdout(
 ) -> tuple[PoseSet | None, PoseSet | None, list[MovedFrame], tuple[str, ...]]:
     """Return held-out poses without outliers, the same without moves before them, these moves, and sentences of outliers.
 
-    Moves are looked for again without the outliers, which would bend them.
+    Moves are searched for again without the outliers, which would bias them.
     """
     if holdout is None:
         return None, None, [], ()
@@ -344,7 +344,7 @@ def _settle_holdout(
 
 
 def _split(poses: PoseSet, holdout: PoseSet | None, seed: int) -> tuple[PoseSet, PoseSet | None, str]:
-    """Return training and held-out poses, and how they came about."""
+    """Return training and held-out poses, and the kind of the split."""
     if holdout is not None:
         return poses, holdout, "given"
     if poses.n < _ENOUGH_TO_SPLIT:

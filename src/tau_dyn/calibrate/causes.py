@@ -29,7 +29,7 @@ from tau_dyn.results import format_estimate, format_list, format_percent, format
 
 
 def fix_parameters(geometry: Geometry, what: Sequence[str]) -> Geometry | None:
-    """Return the geometry with the dimensions at nominal whose names have one of these beginnings after the owner's."""
+    """Return the geometry with the dimensions at nominal whose names start with one of these prefixes after the owner's."""
     names = [p.name for p in geometry.parameters if p.free and p.name.rpartition(".")[2].startswith(tuple(what))]
     return constrain_parameters(geometry, {}, names) if names else None
 
@@ -256,7 +256,7 @@ def _list_alike(family: Family, cause: str, joints: tuple[str, ...]) -> tuple[st
 def _list_rivals(
     family: Family, chosen: CandidateModel, cause: str, joints: tuple[str, ...], smaller: GeometryFit, spec: Spec
 ) -> tuple[tuple[str, str], ...]:
-    """Return additions and their places that explain these poses as well as a cause; one at its own joint leaves that named."""
+    """Return additions and their places that explain these poses as well as a cause; one at its own joint keeps the place."""
     places = _list_places(cause, joints)
     own = [a for a, at in chosen.spec.additions.items() if set(places) <= set(at) and _OF_ADDITION[a] == cause]
     if not own or own[0] not in family.screened or smaller.kind != "forward":
@@ -265,7 +265,7 @@ def _list_rivals(
 
 
 def _list_places(cause: str, joints: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the places of a cause's addition: drives that yield are several, a coupling is one at two joints."""
+    """Return the places of a cause's addition: elastic drives are several places, a coupling is one at two joints."""
     return joints if cause == "drive_compliance" else ("/".join(joints) or "all",)
 
 

@@ -1,4 +1,4 @@
-"""How well a model predicts poses that it has not seen, by folds of the training poses, and whether a larger one does better."""
+"""Cross-validation: prediction errors at training poses left out of the fit, and a paired comparison of two models."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MIN_RELATIVE_GAIN = 0.02  # share of the weighted rms error that a larger model
 
 
 def earns_parameters(gain: Gain) -> bool:
-    """Return whether a larger model is worth its parameters, by its gain on training poses that no refit has seen."""
+    """Return whether a larger model is worth its parameters, by its gain on training poses left out of the refits."""
     significant = gain.p_value is not None and gain.p_value < _SIGNIFICANCE_LEVEL
     return significant and gain.reduction_percent > 100 * _MIN_RELATIVE_GAIN
 

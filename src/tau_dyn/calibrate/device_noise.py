@@ -26,7 +26,7 @@ _MIN_NUMBERS = 6.0  # numbers beyond the parameters' share; with fewer, the scat
 
 
 class _Scatter(NamedTuple):
-    """Sum of squared residuals of devices, in units of the fit's noise, and the numbers that parameters leave of them."""
+    """Sum of squared residuals of devices, in units of the fit's noise, and their degrees of freedom."""
 
     square: np.ndarray
     left: np.ndarray
@@ -49,7 +49,7 @@ def weigh_devices(family: Family, poses: PoseSet, options: Options) -> PoseSet:
 
 
 def _pool(poses: PoseSet, scatter: _Scatter) -> np.ndarray:
-    """Return the standard error of each device (devices,): that of its kind, or its own where it differs significantly."""
+    """Return the standard error of each device (devices,): that of its kind, or its own if it differs significantly."""
     out = np.ones(len(poses.devices))
     for kind in set(poses.kinds):
         alike = np.array([one == kind for one in poses.kinds]) & (scatter.left >= _MIN_NUMBERS)

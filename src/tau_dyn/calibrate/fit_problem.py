@@ -223,8 +223,8 @@ class Problem:
 def compute_size_slope(geometry: Geometry, q: np.ndarray) -> np.ndarray:
     """Return the derivative (p,) of a robot's size, over the nominal one, by its parameters.
 
-    What only touches shows no absolute length, and a smaller robot misses by less: residuals of touches are relative to the size.
-    It is the component along the nominal lengths, and does not change with what moves no tool in any way that frames would not.
+    Touches alone do not determine an absolute length, and a smaller robot has smaller residuals: those of touches are relative
+    to the size. The size is the component along the nominal lengths; changes that frames compensate do not affect it.
 
     Args:
         geometry: The mechanism.
@@ -248,7 +248,7 @@ def compute_size_slope(geometry: Geometry, q: np.ndarray) -> np.ndarray:
 
 
 def get_blind_limit(poses: PoseSet) -> float:
-    """Return the singular value of scaled, whitened columns below which a combination counts as blind; 0 is rounding alone."""
+    """Return the singular value of scaled, whitened columns below which a combination is unidentifiable; 0: rounding alone."""
     return 0.0 if poses.shows_frames else _BARELY
 
 
@@ -294,8 +294,9 @@ _UNIDENTIFIABLE_PRIOR_WEIGHT = 1e5  # prior of parameters that poses do not iden
 _FULL_STEPS = 4  # undamped Gauss-Newton steps along a curved valley
 _MIN_NOISE = 1e-9  # [m or rad], of poses without noise
 _BARELY = 1e-2
-"""Singular value below which a combination of distances, touches or several devices counts as blind: the prior has 1e4 times its
-information. Else the noise of fitted axes, parallel in the file, would decide which parameters are estimated."""
+"""Singular value below which a combination of distances, touches or several devices counts as unidentifiable: the prior has
+1e4 times its information. Otherwise the noise of fitted axes, parallel in the file, would
+decide which parameters are estimated."""
 _BLIND = 1e-9  # of the largest singular value: rounding
 _RANK_TOLERANCE = 1e-14  # rounding: the prior has information on every unknown
 _RULES = DescentRules(_MAX_STEPS, small_step=1e-3, small_gain=1e-3, first_damping=0.1, growth=5.0, max_trials=10)
@@ -385,7 +386,7 @@ class WeightedProblem:
         return self.problem.moved(state, whole)
 
     def gain(self, state: FitState, trial: FitState) -> float:
-        """Return by how much the sum falls at the state's weights; losing a pose is no way down."""
+        """Return the decrease of the sum at the state's weights; minus infinity if a pose is lost."""
         if trial.ok.sum() < state.ok.sum():
             return -np.inf
         (before, w), (after, _) = self.whiten(state), self.whiten(trial)
@@ -393,7 +394,7 @@ class WeightedProblem:
         return float(np.sum(w[:, None] * (before**2 - after**2)) + prior)
 
     def deviation(self, state: FitState) -> np.ndarray:
-        """Return how far free unknowns are from nominal (f,); the homeless count as at home, wherever they are."""
+        """Return how far free unknowns are from nominal (f,); zero for those without a nominal value."""
         frames = [p.value for p in state.frames.parameters()]
         values = np.concatenate([state.theta, frames, state.slack])
         return np.where(self.homeless, 0.0, (values - self.nominal)[self.free])
@@ -496,7 +497,7 @@ def reset_unidentifiable(weighted: WeightedProblem, state: FitState, found: Iden
     held = replace(weighted, trust=trust, homeless=homeless, weights=weighted.whiten(state)[1])
     if not np.any(held.deviation(state)[own]):
         return state
-    for _ in range(_FULL_STEPS):  # whole steps get along a curved valley where a falling sum would not
+    for _ in range(_FULL_STEPS):  # full steps follow a curved valley where steps with a decreasing sum would not
         trial = held.move(state, held.linearise(state).step(0.0)[0])
         if trial.ok.sum() < state.ok.sum():
             break

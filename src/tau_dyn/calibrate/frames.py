@@ -80,7 +80,7 @@ class DeviceFrames:
         return np.concatenate([rd @ linear, rd @ angular], axis=1)
 
     def brought(self, base: Poses, twist: np.ndarray, setup: np.ndarray) -> np.ndarray:
-        """Return twists of the tool in the base's axes (N, 6, p) from twists of the target in the device's: `carried` undone."""
+        """Return twists of the tool in the base's axes (N, 6, p) from those of the target in the device's; undoes `carried`."""
         rd, _, _, tt = self.of_each(setup)
         back = np.swapaxes(rd, 1, 2)
         arm = np.einsum("nij,nj->ni", base.rotation, tt)
@@ -230,7 +230,7 @@ def _spread(columns: np.ndarray, campaign: np.ndarray, many: int) -> np.ndarray:
 
 
 _FLAT = 1e-3
-"""Thickness of a cloud of positions, relative to its extent, below which it is a plane."""
+"""Thickness of a cloud of positions, relative to its extent, below which it counts as a plane."""
 
 
 def is_flat(points: np.ndarray) -> bool:

@@ -1,7 +1,7 @@
 """A geometry, the measuring device's frame and the target's place fitted to measured poses, with uncertainty and sensitivities.
 
-A model needs at least its rank over the joints' range by the numbers that one pose gives, and one pose more. How much each
-parameter matters is how far the tool moves and turns when it alone is off (thesis (5.8), Table 5.10).
+A model needs at least its rank over the joints' range divided by the numbers of one pose, and one pose more. The sensitivity to
+a parameter is the tool's displacement and rotation if it alone is wrong (thesis (5.8), Table 5.10).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import Brief
 
 _UNKNOWN_FRAME = 1.0
-"""Standard deviation [m or rad] of a frame along a direction that no pose shows: anywhere in a room, turned anyhow."""
+"""Standard deviation [m or rad] of a frame along a direction that no pose determines: any position in a room, any orientation."""
 
 
 def count_required_poses(rank: int, per_pose: int) -> int:
@@ -197,7 +197,7 @@ class GeometryFit(Brief):
 
     @property
     def spread(self) -> float:
-        """Rms distance from their middle [m] of the measured positions, of the predicted ones where others were measured."""
+        """Rms distance from their middle [m] of the measured positions, or of the predicted ones if not measured."""
         if self.poses.as_poses().measures_poses:
             return self.poses.as_poses().spread
         if not self.poses.of_encoders.any():
@@ -214,11 +214,11 @@ class GeometryFit(Brief):
 
     @property
     def n_numbers(self) -> int:
-        """Independent numbers that were measured."""
+        """Number of independent measured coordinates."""
         return int(self.numbers.sum())
 
     def interval(self, parameter: Parameter, share: float = 0.95) -> tuple[float, float] | None:
-        """Return a parameter's interval (Student's t), None where it was not estimated."""
+        """Return a parameter's interval (Student's t), None if it was not estimated."""
         if parameter.stderr is None:
             return None
         half = float(stats.t.ppf(0.5 + share / 2, self.dof)) * parameter.stderr
@@ -228,7 +228,7 @@ class GeometryFit(Brief):
     def prediction_cov(self) -> np.ndarray:
         """Covariance of the free unknowns (f, f) for predictions at other poses, with the undetermined directions.
 
-        A direction that these poses do not determine is as uncertain as the robot file; those of the frames have no prior knowledge.
+        A direction that these poses do not determine is as uncertain as the robot file; there is no prior for frames.
         """
         found, free = self.identifiability, self.unknowns.free
         n_geometry, ends = self.unknowns.n_geometry, self.unknowns.n_frames
@@ -242,7 +242,7 @@ class GeometryFit(Brief):
 
     @property
     def correlation(self) -> np.ndarray:
-        """Correlations of the free unknowns (f, f), zero where not estimated."""
+        """Correlations of the free unknowns (f, f), zero if not estimated."""
         error = np.sqrt(np.diag(self.cov))
         safe = np.where(error > 0, error, 1.0)
         return self.cov / np.outer(safe, safe)
@@ -266,7 +266,7 @@ class GeometryFit(Brief):
         return turn, shift
 
     def errors(self, poses: PoseSet) -> PoseErrors:
-        """Return measured minus predicted at other poses; at a place that these poses do not show, by its other rows there."""
+        """Return measured minus predicted at other poses; at a place without fitted poses, by the place's other rows."""
         state, known = self.predict(poses), self._is_known(poses)
         own, base = self._keep_known(poses, known), state.base.take(known)
         seen, lengths = self.seen(own, state._replace(base=base)), self.frames.lengths_of(own.setup)
@@ -282,7 +282,7 @@ class GeometryFit(Brief):
         return PoseErrors(position, None, relative, poses.configuration, errors.oriented, poses.numbers, of_tool)
 
     def _is_known(self, poses: PoseSet) -> np.ndarray:
-        """Return which poses (N,) were measured by devices that the fitted poses show."""
+        """Return which poses (N,) were measured by devices of the fitted poses."""
         return poses.device < len(self.poses.devices)
 
     def _keep_known(self, poses: PoseSet, known: np.ndarray) -> PoseSet:
@@ -293,7 +293,7 @@ class GeometryFit(Brief):
         return find_new_places(poses, base, len(self.poses.devices), self.frames, self.noise[0])
 
     def _target(self) -> np.ndarray | None:
-        """Return the target's orientation (3, 3) behind a plate that keeps its own: the mean that was measured."""
+        """Return the target's orientation (3, 3) on a plate that does not turn: the mean measured orientation."""
         if self.geometry.orients or self.poses.rotation is None:
             return None
         seen = self.frames.measured(self.state.base, self.poses.setup)

@@ -21,7 +21,7 @@ ADDITIONS = (
 )  # fmt: skip
 BETWEEN_CAMPAIGNS = ("base_frame", "tool_frame")
 OF_WHOLE = (*BETWEEN_CAMPAIGNS, "delay")
-"""Additions that no joint has by itself."""
+"""Additions of the whole robot, not of a joint."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class Spec:
     additions: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     def name_for(self, joints: Sequence[str]) -> str:
-        """Return the model's name, where `joints` could all have additions."""
+        """Return the model's name; `joints` are all joints that can have additions."""
         parts = [self.structure]
         for addition in ADDITIONS:
             own = self.additions.get(addition, ())
@@ -121,7 +121,7 @@ class Family(ABC):
         return spec
 
     def can_have(self, addition: str) -> tuple[str, ...]:
-        """Return the joints that an addition makes sense for; of couplings the pairs `JOINT/OTHER`."""
+        """Return the joints that can have an addition; for couplings the pairs `JOINT/OTHER`."""
         if addition in BETWEEN_CAMPAIGNS:  # separate targets have their own frames anyway
             own = addition == "tool_frame" and len(self.poses.targets) > 1
             several = len(self.poses.devices) > 1  # each of which has a frame of its own in every campaign
@@ -158,7 +158,7 @@ class Family(ABC):
 
     @abstractmethod
     def places(self, addition: str) -> tuple[str, ...]:
-        """Return the joints that an addition of this mechanism makes sense for."""
+        """Return the joints that can have an addition of this mechanism."""
 
     @abstractmethod
     def build(self, spec: Spec, periods: dict[str, float] | None = None) -> Geometry:

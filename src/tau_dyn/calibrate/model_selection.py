@@ -54,8 +54,8 @@ class RejectedAddition(NamedTuple):
     """An addition that fits the poses significantly better and has a sign or a size that no machine has.
 
     Attributes:
-        addition: Its kind.
-        place: Its joint, of a coupling `JOINT/OTHER`.
+        addition: Kind of the addition.
+        place: Its joint; `JOINT/OTHER` for a coupling.
         fit: The model with it.
         why: Its implausible number, as a phrase.
     """
@@ -73,7 +73,7 @@ class SelectionStep:
     Attributes:
         name: Model that was tried.
         over: Model that it was compared with.
-        gain: On training poses by cross-validation.
+        gain: Gain on training poses by cross-validation.
         taken: Whether it was worth its parameters.
         rejected: A significant addition that no machine has; None for all other steps.
     """
@@ -313,7 +313,7 @@ def _additions(
     start: CandidateModel,
     progress: Callable[[str], None],
 ) -> tuple[list[CandidateModel], list[SelectionStep]]:
-    """Return the models that additions make of the first one, each of the one before, and all steps that were tried."""
+    """Return the models with one addition after another, from the first model on, and all steps that were tried."""
     now, taken, steps = start, [], []
     periods: dict[str, float] = {}
     refused: set[tuple[str, tuple[str, ...]]] = set()
@@ -348,7 +348,7 @@ def _additions(
 
 
 _MAX_ECCENTRICITY_RAD = 5e-3
-"""Amplitude of a joint's error once a turn: an encoder disc of 20 mm radius 0.1 mm off its axis; more is another effect."""
+"""Largest plausible amplitude of a joint's error with one period a turn: an encoder disc of 20 mm radius 0.1 mm off its axis."""
 
 
 def describe_implausible(steps: Sequence[SelectionStep]) -> tuple[str, ...]:
@@ -397,7 +397,7 @@ def fit_models(
 
 
 def _searched_periods(family: Family, spec: Spec, poses: PoseSet, options: Options) -> dict[str, float]:
-    """Return starting periods of the cyclic errors that a model asks for, from the residuals of the model without them."""
+    """Return starting periods of the cyclic errors of a model, from the residuals of the model without them."""
     joints = spec.additions.get("periodic", ())
     if not joints:
         return {}

@@ -29,7 +29,7 @@ from tau_dyn.message_codes import CodedWarning
 from tau_dyn.parameters import Parameter
 
 _TIMES = 6.0
-"""How many times the distance that one good pose in a hundred has; a model that lacks something leaves tails, not this."""
+"""Multiple of the distance of one good pose in a hundred; an incomplete model gives tails, but not this far."""
 
 
 _MAX_DUPLICATE_DISTANCE = 1e-9  # [m] or [rad]: positions of joints that are one pose
@@ -65,7 +65,7 @@ def check_spread(family: Family, poses: PoseSet) -> None:
 def drop_duplicate_poses(poses: PoseSet) -> tuple[PoseSet, tuple[str, ...]]:
     """Return the poses without those that repeat another's joints and measurement, and a warning that names them.
 
-    The same joints measured again with other noise are a repeated measurement and stay.
+    The same joints measured again with other noise are a repeated measurement and are kept.
     """
     rotation = np.zeros((poses.n, 9)) if poses.rotation is None else poses.rotation.reshape(-1, 9)
     columns = [poses.q, poses.position, rotation, poses.setup, poses.loads]
@@ -112,7 +112,7 @@ def _name_poses(poses: PoseSet, index: np.ndarray, size: np.ndarray) -> str:
     return ", ".join(shown) + (f" and {len(index) - 5} more" if len(index) > 5 else "")
 
 
-_MAX_OUTLIER_SHARE = 0.2  # share of the poses above which they are no outliers but another situation
+_MAX_OUTLIER_SHARE = 0.2  # share of the poses above which they are not outliers but another situation
 _LOOKS_FOR_OUTLIERS = 3  # fits, each without the outliers of the one before it
 
 
@@ -232,7 +232,7 @@ def fit_robustly(family: Family, poses: PoseSet, options: Options, model: str | 
 
 
 def _can_place_each(poses: PoseSet) -> bool:
-    """Return whether there are campaigns, each with poses enough for a device frame of its own."""
+    """Return whether there are campaigns, each with enough poses for its own device frame."""
     own = len(poses.campaigns) > 1 and len(poses.devices) == 1
     return own and np.bincount(poses.campaign, minlength=len(poses.campaigns)).min() > _MIN_POSES
 
@@ -242,14 +242,14 @@ _MIN_GAIN_PERCENT = 20.0
 """Reduction of the held-out error above which a move is reported: effects that the model lacks look like small moves."""
 _MIN_POSES = 6  # poses; with fewer, the six numbers of a frame fit noise
 _RULES = DescentRules(20, small_step=1e-6, small_gain=0.0)
-"""A turn by half a radian takes six steps; the last moves residuals by a millionth of the noise."""
+"""A rotation by half a radian takes six steps; the last moves residuals by a millionth of the noise."""
 _UNDETERMINED_RATIO = 4.0
-"""Ratio of variances from which the directions that the training poses leave open count:
+"""Ratio of variances above which a direction counts as undetermined by the training poses:
 the standard error of an axis doubles."""
 _MAX_TURN_STDERR = 0.1
-"""Standard error of a turn [rad] from which a move is not linear in the frame, so that it cannot be tested."""
+"""Standard error of a rotation [rad] above which a move is not linear in the frame, so that it cannot be tested."""
 _WEAK_RATIO = 100.0
-"""Ratio of variances from which a frame counts as weakly determined: ten standard errors of the held-out poses' own."""
+"""Ratio of variances above which a frame counts as weakly determined: ten standard errors of the held-out poses' own."""
 _ALIKE = 10.0  # difference of twice the log-likelihoods below which device and target cannot be distinguished
 
 
@@ -292,7 +292,7 @@ class MovedFrame(NamedTuple):
         return replace(poses, position=position, rotation=rotation)
 
     def describe(self) -> str:
-        """Return it as a sentence with its remedy."""
+        """Return a sentence that describes the move and its remedy."""
         shift, turn = (1e3 * np.linalg.norm([p.value for p in part]) for part in (self.move[:3], self.move[3:]))
         who = f"the {self.owner}" + (f" or the {self.other}" if self.other else "")
         rms = [f"{1e3 * x:.3g} mm" for x in (self.gain.rms_after, self.gain.rms_before)]
@@ -441,7 +441,7 @@ class _MoveProblem:
         return state.moved(*((whole, np.zeros(6)) if self.owner == "device" else (np.zeros(6), whole)))
 
     def gain(self, state: DeviceFrames, trial: DeviceFrames) -> float:
-        """Return by how much the sum of squares falls."""
+        """Return the decrease of the sum of squares."""
         return float(np.sum(self.residuals(state) ** 2) - np.sum(self.residuals(trial) ** 2))
 
 

@@ -58,7 +58,7 @@ class Calibration(Shown):
 
     @property
     def misses_poses(self) -> bool:
-        """Whether the held-out error is so large that units, joints or frames are wrong, or the robot is another one."""
+        """Whether the held-out error is so large that units, joints or frames are wrong, or the robot is a different one."""
         errors = self.errors(self.chosen)
         turned = errors.orientation_size
         near = errors.position_size.rms < _MAX_RELATIVE_ERROR * self.fit.spread
@@ -154,7 +154,7 @@ class Calibration(Shown):
         measured = np.einsum("nji,nj->ni", turn, known.position - shift)
         predicted = base.position + np.einsum("nij,nj->ni", base.rotation, arm)
         error = np.where(at.of_encoders[:, None], np.nan, self.errors(model).position)
-        from_camera = -np.einsum("nij,nj->ni", turn @ base.rotation @ target_turn, error)  # off the other way
+        from_camera = -np.einsum("nij,nj->ni", turn @ base.rotation @ target_turn, error)  # the opposite sign
         error = np.where(at.from_tool[:, None], from_camera, error)
         return np.where(sees[:, None], measured, predicted), np.einsum("nji,nj->ni", turn, error)
 

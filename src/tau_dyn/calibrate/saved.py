@@ -126,7 +126,7 @@ def save_calibration(path: str | Path, found: Calibration) -> None:
     """Write the chosen model of a calibration.
 
     Raises:
-        InputError: A place that cannot be written.
+        InputError: The file cannot be written.
     """
     robot, fitted = found.robot, found.fit
     spec = found.chosen.spec

@@ -25,7 +25,7 @@ from tau_dyn.parameters import Parameter
 from tau_dyn.results import Brief
 
 STRUCTURAL = 1e-12
-"""Part of the largest singular value below which a combination is blind whatever the noise."""
+"""Share of the largest singular value below which a combination is unidentifiable at any noise."""
 
 SCALES = {"m": 0.01, "rad": 0.01, "1": 0.01, "m/N": 1e-5}
 """Standard error by unit, above which a parameter counts as unknown."""
@@ -124,8 +124,7 @@ def _involved(factor: np.ndarray, names: list[str]) -> tuple[str, ...]:
 def _chosen(r: np.ndarray, priority: np.ndarray, rank: int) -> np.ndarray:
     """Return the columns to keep: by pivoting on unit columns, each level of priority at half the weight of the one before.
 
-    A strict order would keep a set that barely spans the rest; then the others could not be put back to their nominal
-    values.
+    A strict order would keep a badly conditioned set; then the others could not be reset to their nominal values.
     """
     norm = np.linalg.norm(r, axis=0)
     level = np.minimum(priority - priority.min(initial=0), _LAST)
@@ -143,7 +142,7 @@ DELAY = "joints.delay"
 _PRIOR_UNITS = ("m", "rad")
 _FRAMES_FIRST = -1  # priority of device and target: below that of any parameter of the robot
 _DEVICES_FIRST = -6
-"""Priority of devices where some show no poses: left where a start put it, one would hold the robot's size."""
+"""Priority of devices if some do not measure poses: fixed at its starting value, a device would fix the robot's size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +176,7 @@ class Unknowns(Brief):
 
     @property
     def plays(self) -> bool:
-        """Whether backlash is free somewhere, or the delay of the joints."""
+        """Whether the backlash of a joint, or the delay of the joints, is free."""
         return bool(self.free[self.n_geometry + self.n_frames :].any())
 
     @property

@@ -158,7 +158,7 @@ class DisplacedGeometry(Geometry):
         return self.geometry.passive_by_joint(own, at.real, joints) @ at.by_position()
 
     def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> Closure | None:
-        """Return how far tool poses leave the loops open."""
+        """Return the gaps of the loops at tool poses."""
         own, at = self._move(theta, q)
         found = self.geometry.closure(own, at.real, poses)
         if found is None:
@@ -176,5 +176,5 @@ class DisplacedGeometry(Geometry):
 
 
 def _append(own: np.ndarray, by_joint: np.ndarray, at: MovedJoints) -> np.ndarray:
-    """Return derivatives (N, d, p) by a geometry's own parameters, then by what displaces its joints."""
+    """Return derivatives (N, d, p) by a geometry's own parameters, then by those of the displacement."""
     return np.concatenate([own, by_joint @ at.by_parameter], axis=2)

@@ -37,9 +37,9 @@ from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import ROUGH_FILE, BodyPrior
 
 MAX_DEFLECTION = 0.01
-"""Deflection that a machine is taken to have before its poses are known (one standard deviation) [rad or m]."""
+"""Prior standard deviation of a machine's deflection [rad or m]."""
 _TRIED = 50
-"""Positions at which it is looked whether a joint carries a load."""
+"""Number of positions at which the load of a joint is computed."""
 _NO_FORCE = 1e-9
 """Force relative to the largest one, or to 1 N m, that is rounding."""
 _STEP = 1e-4
@@ -69,7 +69,7 @@ class Statics(NamedTuple):
 
 
 class StaticForces:
-    """Loads of one robot at its file's dimensions; remembers the last positions asked for."""
+    """Loads of one robot at its file's dimensions; remembers the last requested positions."""
 
     def __init__(self, nominal: Geometry) -> None:
         """Prepare for a robot with the geometry of its file."""
@@ -176,7 +176,7 @@ class _Pull(NamedTuple):
 
 
 class _State(NamedTuple):
-    """Values by actuator: compliances (na,) and deflections by 1 kg (na,); by what share bodies are off (b,); gravity (3,)."""
+    """Values by actuator: compliances (na,) and deflections by 1 kg (na,); relative mass errors (b,); gravity (3,)."""
 
     c: np.ndarray
     d: np.ndarray
@@ -186,7 +186,7 @@ class _State(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ElasticDrives:
-    """All drives of a robot that yield, as `JointDisplacement`.
+    """All elastic drives of a robot, as `JointDisplacement`.
 
     Attributes:
         statics: The loads.
@@ -311,7 +311,7 @@ class ElasticDrives:
         return _State(c, d, errors, self.statics.gravity + np.cross(tilt, self.statics.gravity))
 
     def _weights(self, state: _State, loads: np.ndarray) -> np.ndarray:
-        """Return what sums bodies and 1 kg at the tool (N, b + 1)."""
+        """Return the weights of the sum over bodies and 1 kg at the tool (N, b + 1)."""
         return np.column_stack([np.tile(1 + state.errors, (len(loads), 1)), loads[:, 0]])
 
     def _pull(self, state: _State, at: Statics, loads: np.ndarray) -> _Pull:
@@ -328,7 +328,7 @@ class ElasticDrives:
 
 
 class JointLoading:
-    """What loads each joint over the range of some poses."""
+    """Loads of each joint over the range of some poses."""
 
     def __init__(self, statics: StaticForces, low: np.ndarray, high: np.ndarray, loads: np.ndarray) -> None:
         """Try positions between two (na,), with loads (N, 7) of the poses."""
@@ -355,11 +355,11 @@ class JointLoading:
         return tuple(np.array(self.statics.robot.actuated)[varies].tolist())
 
     def build(self, joints: Mapping[str, str], load_known: bool, masses_known: bool = False) -> ElasticDrives:
-        """Return the drives that yield.
+        """Return the elastic drives.
 
         Args:
             joints: Name of the compliance by joint.
-            load_known: Whether no unknown load hangs at the tool.
+            load_known: Whether the load at the tool is known.
             masses_known: Whether the file's masses and a level base count as exact.
         """
         return ElasticDrives(

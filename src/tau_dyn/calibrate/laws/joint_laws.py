@@ -128,7 +128,7 @@ class EncoderLaws:
         return np.zeros(len(self.parameters), bool)
 
     def move(self, values: np.ndarray, q: np.ndarray, loads: np.ndarray | None) -> MovedJoints:
-        """Return where joints are at encoders' positions (N, na)."""
+        """Return the real joint positions at encoder readings (N, na)."""
         moved = displace(self.laws, np.split(values, np.cumsum([len(law.parameters) for law in self.laws])[:-1]), q)
         columns = np.zeros((*q.shape, len(self.parameters)))
         first = 0
@@ -237,9 +237,9 @@ class CouplingLaw(_LinearLaw, _JointLaw):
     Attributes:
         joint: Joint name.
         actuator: Its index.
-        other: Name of the joint that moves it along.
+        other: Name of the joint that moves it too.
         source: That joint's index.
-        ratio: Nominal share: 0, or 1 or -1 where all of the other joint's motion is added.
+        ratio: Nominal share: 0, or 1 or -1 if all of the other joint's motion is added.
     """
 
     joint: str
@@ -268,7 +268,7 @@ class GuideBendLaw:
         actuator: Its index.
         rods: Rods it carries.
         knots: Positions along the guideway (k,) [m].
-        base: Displacements that are known beforehand (k, 3) [m], from a measured guideway; the parameters come on top.
+        base: Displacements that are known beforehand (k, 3) [m], from a measured guideway; the parameters are added to them.
     """
 
     joint: str
@@ -327,7 +327,7 @@ class RodPathLaw(_LinearLaw):
 
 @dataclass(frozen=True, eq=False)
 class CartComplianceLaw(_LinearLaw):
-    """A cart that yields to its rods' pull: `d = guideway_compliance F` across its guideway.
+    """A cart that is elastic under its rods' pull: `d = guideway_compliance F` across its guideway.
 
     Attributes:
         joint: Slide's name.
@@ -335,7 +335,7 @@ class CartComplianceLaw(_LinearLaw):
         rods: Rods it carries.
         direction: Unit vector of the guideway (3,).
         loads: The rods' pull.
-        at_tool: Loads at the tool (N, 7), None without any.
+        at_tool: Loads at the tool (N, 7), None without loads.
     """
 
     joint: str

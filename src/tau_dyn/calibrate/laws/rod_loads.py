@@ -1,4 +1,4 @@
-"""What rods put on the carts of a standing robot, in all directions: those across a guideway bend it, no drive holds them."""
+"""Forces of rods on the carts of a robot at rest, in all directions: those across a guideway bend it, no drive supports them."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from tau_dyn.mechanism import Poses, Rods, forward_kinematics
 
 
 class RodLoads:
-    """Loads that the rods of one nominal robot put on carts; remembers the last positions asked for.
+    """Loads of the rods of one nominal robot on carts; remembers the last requested positions.
 
-    The plate balances, `J_X' f = w`, with `J_X` the gaps' derivative by the plate's twist and `w` the wrench of its weight, of
-    half of each rod's weight at its end and of loads at the tool (rods uniform, so the other half rests on the cart and never
-    changes). Thesis, end of 5.3.
+    The plate is in equilibrium, `J_X' f = w`, with `J_X` the gaps' derivative by the plate's twist and `w` the wrench of its
+    weight, of half of each rod's weight at its end and of loads at the tool (rods uniform, so the other half rests on the cart
+    and never changes). Thesis, end of 5.3.
     """
 
     def __init__(self, rods: Rods) -> None:
