@@ -1,4 +1,4 @@
-"""Kinematic calibration: from measured poses to a geometry with uncertainty, and what each model gains."""
+"""Kinematic calibration: a geometry with uncertainty from measured poses, and the gain of each model."""
 
 from lazy_loader import attach_stub
 

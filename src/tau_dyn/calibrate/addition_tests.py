@@ -1,12 +1,12 @@
-"""Which additions to a model the residuals ask for, before any is fitted: an F test on what their columns take away.
+"""Screening of model additions before any is fitted: an F test on the reduction of the residuals by their columns.
 
-Residuals and new columns are freed of everything that the fitted parameters could take up (`I - Q Q'`, `Q` a basis of their
-columns), so a guideway's offset is not taken for a wave. A cyclic error is looked for at all periods from one and a half ranges
-down to `_MIN_PERIOD_M`, which costs significance by their number. Reference: Draper & Smith 1998, 6; Scargle 1982.
+Residuals and new columns are projected off the fitted parameters (`I - Q Q'`, `Q` a basis of their columns), so a guideway's
+offset is not mistaken for a wave. A cyclic error is searched for at all periods from one and a half ranges down to
+`_MIN_PERIOD_M`; the p-value is corrected for their number. Reference: Draper & Smith 1998, 6; Scargle 1982.
 
 A joint whose encoder counts all of another joint's motion (an elbow driven from the base: the encoder measures against the
-ground, `x_3 = q_3 +- q_2`) makes a robot file miss its poses by a large part of its reach, and no fit of dimensions finds the
-way there. So each pair is tried with either sign and the file's dimensions, device and targets fitted in closed form.
+ground, `x_3 = q_3 +- q_2`) causes position errors of a large part of the reach, and no fit of dimensions converges
+from there. So each pair is tried with either sign at the file's dimensions, with device and targets fitted in closed form.
 """
 
 from __future__ import annotations
@@ -24,19 +24,20 @@ from tau_dyn.calibrate.measured import PoseSet, measured_by_joint, measured_by_p
 from tau_dyn.calibrate.model_family import Family, Spec
 
 _MIN_RELATIVE_MISFIT = 0.01
-"""What the robot file misses, over how far the poses spread, from which a coupling is looked for."""
+"""Rms position error of the robot file, relative to the spread of the poses, above which a coupling is searched for."""
 _MAX_ERROR_LEFT = 0.3
-"""Rms error with the best coupling, over that without and over the next best, below which it stands out."""
+"""Rms error with the best coupling, relative to that without a coupling and to that with the next best one, below which the
+best coupling is accepted."""
 
 
 class UnitCoupling(NamedTuple):
-    """A coupling that stands out.
+    """A coupling that fits far better than no coupling and than any other.
 
     Attributes:
-        name: As in a model's name, such as `j3=-j2`.
+        name: Name of the coupling in a model's name, such as `j3=-j2`.
         error: Rms error of the positions with it [m].
-        without: Rms error without any [m].
-        next_best: Rms error with the next best one [m].
+        without: Rms error without a coupling [m].
+        next_best: Rms error with the next best coupling [m].
     """
 
     name: str
@@ -45,7 +46,7 @@ class UnitCoupling(NamedTuple):
     next_best: float
 
     def describe(self, source: str, model: str) -> str:
-        """Return what it means and what to do, for poses from a source and the model asked for."""
+        """Return a message with the coupling's meaning and the remedy, for the poses' source and the requested model."""
         joint, other = re.split("=-?", self.name)
         sign = "-" if "=-" in self.name else "+"
         taken = "it is part of every model" if model == "auto" else f"add it to the model: {model}+coupling:{self.name}"
@@ -57,7 +58,7 @@ class UnitCoupling(NamedTuple):
 
 
 def find_unit_coupling(family: Family, poses: PoseSet) -> UnitCoupling | None:
-    """Return the coupling of all of one joint's motion to another joint that the poses ask for, None where none stands out."""
+    """Return the unit coupling between two joints that the poses support, or None if no coupling is clearly the best."""
     poses = poses.as_poses()
     if not poses.measures_poses:
         return None
@@ -75,7 +76,7 @@ def find_unit_coupling(family: Family, poses: PoseSet) -> UnitCoupling | None:
 
 
 def _measure_misfit(family: Family, poses: PoseSet, spec: Spec) -> float:
-    """Return the trimmed rms error of the positions [m], inf where fewer than half of the poses are reached."""
+    """Return the trimmed rms error of the positions [m], inf if fewer than half of the poses are reached."""
     geometry = family.build(spec)
     found = geometry.forward(geometry.parameters.values, poses.q)
     return measure_misfit(poses, found.poses, found.ok, turns=geometry.orients).position
@@ -88,14 +89,14 @@ SIGNIFICANCE_LEVEL = 1e-3  # per addition, before a fit and its cross-validation
 
 
 class AdditionTest(NamedTuple):
-    """An addition that residuals ask for.
+    """Test of a model addition on the residuals of a fit.
 
     Attributes:
-        addition: Its kind.
-        joints: Where.
-        p_value: Chance of so large a reduction by noise, tries counted.
-        share: Of the residuals' squares that it takes away.
-        period: Of a cyclic error [m or rad], 0 otherwise.
+        addition: Kind of the addition.
+        joints: Joints that have the addition.
+        p_value: P-value of the reduction, corrected for the number of tests.
+        share: Share of the residual sum of squares that the addition explains.
+        period: Period of a cyclic error [m or rad], 0 otherwise.
     """
 
     addition: str
@@ -106,9 +107,9 @@ class AdditionTest(NamedTuple):
 
 
 def screen_additions(fitted: GeometryFit, family: Family, spec: Spec) -> list[AdditionTest]:
-    """Return the additions that would take away more than noise would, surest first.
+    """Return the additions that reduce the residuals significantly, in order of increasing p-value.
 
-    Drives that yield are also tried all together: they carry the same load, so that one alone may take what the others do.
+    Elastic drives are also tested all together: they carry the same load, so that one alone may explain the deflection of all.
     """
     rest = _ProjectedResidual(fitted)
     hints = []
@@ -129,25 +130,25 @@ def screen_additions(fitted: GeometryFit, family: Family, spec: Spec) -> list[Ad
     return sorted(hints, key=lambda h: (h.p_value, -h.share))
 
 
-_ALIKE = 10.0  # difference of twice the log-likelihoods below which two explanations are not told apart
+_ALIKE = 10.0  # difference of twice the log-likelihoods below which two explanations cannot be distinguished
 _MIN_TRAVEL = {"rad": 0.1, "m": 0.01}
-"""Range of positions below which a joint stands still: what turns about its axis may be what carries it, yielding."""
+"""Range of positions below which a joint counts as not moved: a turn about its axis may be a deflection of its support."""
 
 
 def find_rivals(
     fitted: GeometryFit, family: Family, spec: Spec, addition: str, places: tuple[str, ...]
 ) -> tuple[tuple[str, str], ...]:
-    """Return what else leaves nothing for an addition to explain, as addition and place.
+    """Return the other effects that explain the residuals as well as an addition, as addition and place.
 
-    The dimensions that the model keeps count, as `structure` and the name of the largest one. A base that yields to the robot's
-    weight counts too, as `gravity` of `base`; beside a joint that stands still it always does.
+    The dimensions that the model does not free are one of them, as `structure` and the name of the largest structure. An elastic
+    base under the robot's weight is another one, as `gravity` of `base`; it is the only one if the addition's joints hardly move.
 
     Args:
         fitted: The fit without the addition.
         family: The robot's models.
-        spec: The model without it.
-        addition: Its kind.
-        places: Where it is, in one place or in several together; of a coupling `JOINT/OTHER`.
+        spec: The model without the addition.
+        addition: Kind of the addition.
+        places: One or several places of the addition; `JOINT/OTHER` for a coupling.
     """
     travel = np.ptp(fitted.poses.q, axis=0)
     units = dict(zip(fitted.geometry.actuated, zip(travel, fitted.geometry.position_units, strict=True), strict=True))
@@ -172,7 +173,7 @@ def find_rivals(
 
 
 def _build_columns(rest: _ProjectedResidual, family: Family, spec: Spec, hint: AdditionTest) -> np.ndarray:
-    """Return the whitened columns (rows, k) of an addition, a wave's at its period."""
+    """Return the whitened columns (rows, k) of an addition; those of a wave at its period."""
     if not hint.period:
         return _build_plain_columns(rest, family, spec, hint.addition, hint.joints)
     poses, a = rest.fitted.poses, family.joints.index(hint.joints[0])
@@ -183,20 +184,20 @@ def _build_columns(rest: _ProjectedResidual, family: Family, spec: Spec, hint: A
 
 
 def _by_joint(fitted: GeometryFit, q: np.ndarray, a: int) -> np.ndarray:
-    """Return how what was measured moves by one actuated joint (N, 6, 1)."""
+    """Return the derivative of the measured quantities by one actuated joint (N, 6, 1)."""
     return measured_by_joint(fitted.geometry, fitted.theta, fitted.poses, q, fitted.state.base)[:, :, a : a + 1]
 
 
 def _list_taken(spec: Spec, addition: str) -> tuple[str, ...]:
-    """Return where a model has an addition; of couplings as `JOINT/OTHER`."""
+    """Return the places at which a model has an addition; `JOINT/OTHER` for couplings."""
     return tuple(joint.replace("=-", "/").replace("=", "/") for joint in spec.additions.get(addition, ()))
 
 
 class _ProjectedResidual:
-    """What a fit leaves, and how to free columns of what it could take up.
+    """Whitened residual of a fit, and the projection of columns off the fitted parameters.
 
-    The prior's rows follow those of the poses. Without them dimensions would count as free to take up what they could only by
-    leaving the robot file further than it is trusted: a Delta's dimensions are 10 mm off before they do what its drives yield.
+    The prior's rows follow those of the poses. Without them an effect would count as explained by dimensions that are further
+    from the robot file than the prior permits: a Delta's dimensions must be 10 mm off to act like its elastic drives.
     """
 
     def __init__(self, fitted: GeometryFit) -> None:
@@ -226,20 +227,20 @@ class _ProjectedResidual:
         return np.vstack([own.reshape(self.sigma.size, -1), np.zeros((len(self.fitted.prior_pulls), columns.shape[2]))])
 
     def span(self, columns: np.ndarray) -> np.ndarray:
-        """Return a basis (rows, r) of what columns (rows, k) do beside the fitted parameters."""
+        """Return a basis (rows, r) of the part of columns (rows, k) that is orthogonal to the fitted parameters."""
         norm = np.linalg.norm(columns, axis=0)
         basis, s, _ = np.linalg.svd(self.free(columns / np.where(norm > 0, norm, 1.0)), full_matrices=False)
         return basis[:, s > 1e-6]
 
     def compare_nested(self, columns: np.ndarray, more: np.ndarray) -> float:
-        """Return by how much twice the log-likelihood grows with more columns beside others (rows, k)."""
+        """Return the increase of twice the log-likelihood by `more` columns in addition to `columns` (rows, k)."""
         left = [
             self.total - float(np.sum((self.span(c).T @ self.r) ** 2)) for c in (columns, np.hstack([columns, more]))
         ]
         return self.left * float(np.log(max(left[0], 1e-300) / max(left[1], 1e-300)))
 
     def judged(self, gain: float, k: int, tries: int = 1) -> tuple[float, float]:
-        """Return the p-value and the share of a reduction by `k` columns; a fit that leaves nothing has none."""
+        """Return the p-value and the share of a reduction by `k` columns; 1 and 0 if the residual is zero."""
         if self.total <= 0:
             return 1.0, 0.0
         share = gain / self.total
@@ -276,7 +277,7 @@ def _build_plain_columns(
 
 
 def _build_new_columns(rest: _ProjectedResidual, family: Family, spec: Spec) -> np.ndarray:
-    """Return the whitened columns (rows, k) of the parameters that a larger model has beside those of a fit."""
+    """Return the whitened columns (rows, k) of the parameters of a larger model that a fit does not have."""
     fitted = rest.fitted
     q = compute_actuated_positions(fitted.poses, fitted.state.slack)
     larger = family.build(spec)
@@ -311,7 +312,7 @@ def _periodic(rest: _ProjectedResidual, family: Family, joint: str, addition: st
 
 
 def _reductions(rest: _ProjectedResidual, slope: np.ndarray, x: np.ndarray, frequencies: np.ndarray) -> np.ndarray:
-    """Return by how much a wave of each frequency reduces the residuals' squares."""
+    """Return the reduction of the residual sum of squares by a wave of each frequency."""
     phase = 2 * np.pi * x[:, None] * frequencies
     s, c = (rest.free(rest.twists(slope * wave[:, None])) for wave in (np.sin(phase), np.cos(phase)))
     ss, cc, sc = np.sum(s * s, axis=0), np.sum(c * c, axis=0), np.sum(s * c, axis=0)
@@ -322,7 +323,7 @@ def _reductions(rest: _ProjectedResidual, slope: np.ndarray, x: np.ndarray, freq
 
 
 def find_strongest_periods(fitted: GeometryFit, family: Family, joints: tuple[str, ...]) -> dict[str, float]:
-    """Return the period [m] at each joint that takes most away from what a fit leaves."""
+    """Return the period [m] at each joint that reduces the residuals of a fit most."""
     rest = _ProjectedResidual(fitted)
     found = {joint: _periodic(rest, family, joint) for joint in joints}
     return {joint: hint.period for joint, hint in found.items() if hint is not None}
@@ -331,7 +332,7 @@ def find_strongest_periods(fitted: GeometryFit, family: Family, joints: tuple[st
 _STEP_PLACES = 60  # places in the file tried first for a move; every pose about the best one follows
 _MIN_STEP_POSES = 6  # poses on either side; with fewer, the six numbers of a frame fit noise
 _MIN_STEP_GAIN_PERCENT = 20.0
-"""Reduction of the rms residual from which a move is said: effects that the model lacks look like small moves."""
+"""Reduction of the rms residual above which a move is reported: effects that the model lacks look like small moves."""
 
 
 class MoveWithin(NamedTuple):
@@ -339,7 +340,7 @@ class MoveWithin(NamedTuple):
 
     Attributes:
         owner: `device` or `target`.
-        where: The first pose after it.
+        where: The first pose after the move.
         shift: Distance [m].
         percent: Reduction of the weighted rms residual [%].
     """
@@ -350,7 +351,7 @@ class MoveWithin(NamedTuple):
     percent: float
 
     def describe(self) -> str:
-        """Return it as a sentence with its remedy."""
+        """Return a sentence that describes the move and its remedy."""
         return (
             f"from {self.where} on, the {self.owner} seems to sit elsewhere, by {1e3 * self.shift:.2g} mm; with that "
             f"the rms residual falls by {self.percent:.0f} %, more than with any other effect, and while it is not fitted none "

@@ -1,4 +1,4 @@
-"""Kinematic calibration: from measured poses to a geometry with uncertainty, the model they bear, and what each step gained."""
+"""Kinematic calibration: geometry with uncertainty from measured poses, the model that they support, the gain of each step."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ _SIZE_UNDETERMINED = (
     "calibrated; measure one distance as well (distance_tool)"
 )
 _MAX_RELATIVE_MISFIT = 0.05
-"""What a fit misses, over how far the poses spread, above which the two do not belong together."""
+"""Rms error of a fit, relative to the spread of the poses, above which robot and poses do not belong together."""
 
 
 def calibrate(
@@ -89,24 +89,24 @@ def calibrate(
     Args:
         robot: The robot with its nominal dimensions, or its file.
         poses: Measured poses to fit, or their file.
-        holdout: Measured poses used for nothing but the final errors; without them a quarter of many poses is held out.
+        holdout: Measured poses used only for the final errors; without them a quarter of the poses is held out if there are many.
         model: `auto`, or a model's name, such as `nonparallel` or `complete+periodic:cart2`.
-        fix: Names or patterns of parameters that stay nominal.
-        free: Names or patterns that may change although they would stay.
+        fix: Names or patterns of parameters that are fixed at nominal.
+        free: Names or patterns of parameters that are free although they are fixed by default.
         residual: `forward`, `closure` or `inverse`.
         robust: Weights against bad poses: `none`, `huber` or `biweight`; gross outliers are left out in any case.
         device: Whether the measuring device's frame is unknown.
         tool: Whether the target's place on the tool is unknown.
         accuracy: Standard errors of a measured coordinate [m] and perhaps of an orientation about an axis [rad], against which
             the held-out error is judged; by default from the poses' columns of standard errors, or from repeated poses.
-        prior: How exactly the robot is taken to be built to its file, one standard deviation of lengths [m] and perhaps angles
-            [rad]; 10 mm and 10 mrad unless given.
-        seed: Of folds, splits and bootstrap.
-        progress: Told what is being done.
+        prior: Prior standard deviations of the robot's lengths [m] and perhaps angles [rad] from its file; 10 mm and 10 mrad by
+            default.
+        seed: Seed of folds, splits and bootstrap.
+        progress: Called with a description of each step.
 
     Raises:
-        InputError: Poses that cannot be used; says why.
-        CannotAnswer: Poses in one plane, or a robot that cannot reach them.
+        InputError: The poses cannot be used; the message gives the reason.
+        CannotAnswer: The poses lie in one plane, or the robot cannot reach them.
 
     Example:
         >>> from tau_dyn.calibrate import PoseSet
@@ -135,7 +135,7 @@ def calibrate(
     measured = estimate_measurement_noise(poses, accuracy)
     holdout = None if holdout is None else number_alike(poses, holdout)
     family = get_family(robot, poses)
-    asked = Spec("") if model == "auto" else family.spec(model)  # an unknown name is told before anything long starts
+    asked = Spec("") if model == "auto" else family.spec(model)  # reports an unknown name before a long step starts
     check_patterns(family, (*fix, *free), model)
     check_spread(family, poses)
     coupling = find_unit_coupling(family, poses)
@@ -216,7 +216,7 @@ def _require_place(robot: Robot, poses: PoseSet) -> None:
 
 
 def _check_size(robot: Robot, poses: PoseSet) -> tuple[str, ...]:
-    """Return a warning where nothing that was measured shows the robot's size: touches, or angles between turning drives."""
+    """Return a warning if the measurements do not determine the robot's size: touches, or angles between rotary drives."""
     if not poses.hides_size(robot.position_units):
         return ()
     told = {"holes, planes and balls at unknown places": poses.touches, "angles of passive joints": poses.of_encoders}
@@ -225,7 +225,7 @@ def _check_size(robot: Robot, poses: PoseSet) -> tuple[str, ...]:
 
 
 def propose_pose_columns(path: str | Path, robot: Robot) -> ColumnProposal | None:
-    """Return the column map proposed for a pose file, None where a file holds no poses of a robot.
+    """Return the column map proposed for a pose file, None if a file holds no poses of a robot.
 
     Args:
         path: CSV or Parquet.
@@ -240,7 +240,7 @@ def propose_pose_columns(path: str | Path, robot: Robot) -> ColumnProposal | Non
 def _find_convention(
     robot: Robot, poses: PoseSet, options: Options
 ) -> tuple[FoundReading | None, Geometry, tuple[np.ndarray, np.ndarray]]:
-    """Return how poses are meant, the geometry of the robot file, and the joints' limits."""
+    """Return the conventions of poses, the geometry of the robot file, and the joints' limits."""
     geometry, limits = get_family(robot, poses).build(Spec("frames")), (robot.lower, robot.upper)
     return find_reading(geometry, poses, limits, lambda some: _measure_left(robot, some, options)), geometry, limits
 
@@ -248,7 +248,7 @@ def _find_convention(
 def _reread(
     robot: Robot, poses: PoseSet, holdout: PoseSet | None, options: Options
 ) -> tuple[PoseSet, PoseSet | None, FoundReading | None, tuple[str, ...]]:
-    """Return training and held-out poses as their file means them, how that is found, and sentences."""
+    """Return training and held-out poses in the conventions of their file, the evidence for these, and sentences."""
     said: list[str] = []
     if holdout is not None and poses.rotation is None and holdout.rotation is not None:
         said.append(_describe_unused_orientation(poses, holdout))
@@ -282,7 +282,7 @@ def _reread(
 def _reread_beside_encoders(
     robot: Robot, poses: PoseSet, holdout: PoseSet | None, options: Options
 ) -> tuple[PoseSet, PoseSet | None, FoundReading | None, tuple[str, ...]]:
-    """Return what `_reread` does, found by what was measured of the tool; encoders follow how the joints count."""
+    """Return the result of `_reread` for the tool measurements, with the same joint convention applied to the encoders."""
     tool, encoders = poses.split_encoders()
     if tool is None:
         return poses, holdout, None, ()
@@ -318,7 +318,7 @@ def _describe_unused_orientation(poses: PoseSet, holdout: PoseSet) -> str:
 
 
 def _measure_left(robot: Robot, poses: PoseSet, options: Options) -> float:
-    """Return the error level that free dimensions leave of poses, positions and orientations together."""
+    """Return the error level of poses after a fit of all dimensions, positions and orientations together."""
     try:
         fitted = fit_robustly(get_family(robot, poses), poses, options, None)
     except (InputError, CannotAnswer):
@@ -331,7 +331,7 @@ def _settle_holdout(
 ) -> tuple[PoseSet | None, PoseSet | None, list[MovedFrame], tuple[str, ...]]:
     """Return held-out poses without outliers, the same without moves before them, these moves, and sentences of outliers.
 
-    Moves are looked for again without the outliers, which would bend them.
+    Moves are searched for again without the outliers, which would bias them.
     """
     if holdout is None:
         return None, None, [], ()
@@ -344,7 +344,7 @@ def _settle_holdout(
 
 
 def _split(poses: PoseSet, holdout: PoseSet | None, seed: int) -> tuple[PoseSet, PoseSet | None, str]:
-    """Return training and held-out poses, and how they came about."""
+    """Return training and held-out poses, and the kind of the split."""
     if holdout is not None:
         return poses, holdout, "given"
     if poses.n < _ENOUGH_TO_SPLIT:

@@ -1,7 +1,7 @@
-"""What is wrong with a robot's geometry, by name: each cause's share in the chosen model, measured by taking it out again.
+"""Causes of geometry errors, by name: each cause's share in the chosen model, measured by leaving it out.
 
-A cause is held at nominal, everything else is fitted anew, and both models predict poses that neither has seen. What
-a refit of the rest makes up for is no finding.
+A cause is fixed at nominal, everything else is refitted, and both models predict poses that neither was fitted to. An
+error that the refit of the other parameters compensates is not a finding.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from tau_dyn.results import format_estimate, format_list, format_percent, format
 
 
 def fix_parameters(geometry: Geometry, what: Sequence[str]) -> Geometry | None:
-    """Return the geometry with the dimensions at nominal whose names have one of these beginnings after the owner's."""
+    """Return the geometry with the dimensions at nominal whose names start with one of these prefixes after the owner's."""
     names = [p.name for p in geometry.parameters if p.free and p.name.rpartition(".")[2].startswith(tuple(what))]
     return constrain_parameters(geometry, {}, names) if names else None
 
@@ -189,14 +189,14 @@ def _describe(
 
 
 def as_finding(moved: MovedFrame) -> Finding:
-    """Return a move before the held-out poses as a finding; suspected where device and target are not told apart."""
+    """Return a move before the held-out poses as a finding; suspected if device and target cannot be distinguished."""
     n_numbers = int(moved.own.sum()) * (3 if moved.gain.orientation_rms_after is None else 6)
     why_not = _NOT_APART.format(moved.other) if moved.other else ""
     return _build_finding(f"{moved.owner}_moved", (), moved.gain, n_numbers, why_not, moved.move)
 
 
 def as_reading_findings(found: FoundReading, seed: int) -> tuple[Finding, ...]:
-    """Return the conventions of a pose file as findings; those of a file without a stated convention are none."""
+    """Return the conventions of a pose file as findings; a convention that the file does not state is no finding."""
     gain, whole = found.compute_gain(seed), {change.cause for change in found.reading}
     alike = [tuple(c.cause for c in reading if c.cause) for reading in found.alike]
     others = tuple(dict.fromkeys("+".join(causes) for causes in alike if causes and set(causes) != whole))
@@ -248,7 +248,7 @@ def build_rejected_findings(steps: Sequence[SelectionStep]) -> tuple[Finding, ..
 
 
 def _list_alike(family: Family, cause: str, joints: tuple[str, ...]) -> tuple[str, ...]:
-    """Return causes that no pose tells from one: the weight of a joint's own link goes round with it like an eccentricity."""
+    """Return the indistinguishable causes of a cause: the weight of a joint's own link turns with it like an eccentricity."""
     carries = cause == "joint_eccentricity" and joints[0] in family.can_have("gravity")
     return ("gravity_deflection",) if carries else ()
 
@@ -256,7 +256,7 @@ def _list_alike(family: Family, cause: str, joints: tuple[str, ...]) -> tuple[st
 def _list_rivals(
     family: Family, chosen: CandidateModel, cause: str, joints: tuple[str, ...], smaller: GeometryFit, spec: Spec
 ) -> tuple[tuple[str, str], ...]:
-    """Return additions and their places that explain these poses as well as a cause; one at its own joint leaves that named."""
+    """Return additions and their places that explain these poses as well as a cause; one at its own joint keeps the place."""
     places = _list_places(cause, joints)
     own = [a for a, at in chosen.spec.additions.items() if set(places) <= set(at) and _OF_ADDITION[a] == cause]
     if not own or own[0] not in family.screened or smaller.kind != "forward":
@@ -265,14 +265,14 @@ def _list_rivals(
 
 
 def _list_places(cause: str, joints: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the places of a cause's addition: drives that yield are several, a coupling is one at two joints."""
+    """Return the places of a cause's addition: elastic drives are several places, a coupling is one at two joints."""
     return joints if cause == "drive_compliance" else ("/".join(joints) or "all",)
 
 
 def _leave_out_causes(family: Family, chosen: CandidateModel) -> list[tuple[str, tuple[str, ...], Geometry, Spec]]:
-    """Return every cause of the model with the geometry that leaves it out.
+    """Return every cause of the model with the geometry without it.
 
-    Drives that yield are left out together: they carry the same load, so that the others take up what one does.
+    Elastic drives are left out together: they carry the same load, so that the others would explain the deflection of one.
     """
     out: list[tuple[str, tuple[str, ...], Geometry, Spec]] = []
     if chosen.spec.structure != "frames":
@@ -344,6 +344,6 @@ def suspect_laws(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
 
 
 def suspect_all(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
-    """Return findings of a model that misses its poses by far: none is confirmed but conventions and moves between files."""
+    """Return the findings of a model with large errors: only conventions and moves between files stay confirmed."""
     sure = ("device_moved", "target_moved", *CONVENTIONS)
     return tuple(f if f.cause in sure else f.reject(_MISSED_POSES) for f in findings)

@@ -1,8 +1,8 @@
-"""Corrected joint positions for a controller that goes on believing in the nominal robot.
+"""Corrected joint positions for a controller that computes with the nominal robot.
 
-The controller asks for `q`, meaning that the tool should be where the nominal robot would have it. The calibrated robot
-is there at other positions. `exact` finds them by Newton on the calibrated model, `theta` its parameters and `X` the
-commanded part of the pose:
+The controller commands `q`, so that the tool of the nominal robot would be at the desired pose. The calibrated robot
+reaches this pose at other positions. `exact` finds them by Newton's method on the calibrated model, with its parameters
+`theta` and the commanded part `X` of the pose:
 
     X(theta, q_c) = X(theta_0, q).
 
@@ -12,7 +12,7 @@ commanded part of the pose:
     dX = S(q) (theta - theta_0),    q_c = q - J(q)^-1 dX.
 
 A robot with fewer than six joints commands only part of the pose: x of a parallelogram, x y z of a Delta, x y z and rz
-of an H4. What the errors do to the rest cannot be corrected, only foreseen (`remaining`).
+of an H4. The errors of the other part cannot be corrected, only predicted (`remaining`).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from tau_dyn.robot import Robot
 
 
 def require_valid_axes(robot: Robot, axes: Sequence[str]) -> tuple[str, ...]:
-    """Return axes that a user names.
+    """Return the axes named by a user.
 
     Raises:
         UnknownName: An axis that does not exist.
@@ -50,7 +50,7 @@ def require_valid_axes(robot: Robot, axes: Sequence[str]) -> tuple[str, ...]:
 
 
 def choose_default_axes(robot: Robot) -> tuple[str, ...]:
-    """Return the coordinates that the robot commands, all six where its joints are as many.
+    """Return the coordinates that the robot commands, all six if it has six joints or more.
 
     Raises:
         InputError: The tool's motion at home is not known.
@@ -69,12 +69,12 @@ _SINGULAR = 1e-9  # ratio of singular values; rounding alone gives less than 1e-
 
 
 class Corrected(NamedTuple):
-    """What to send to the controller.
+    """Corrected positions for the controller.
 
     Attributes:
         q: Corrected positions (N, na) [m or rad], nan where not `ok`.
         ok: Whether the pose is reached (N,).
-        reason: Why not (N,), '' where it is.
+        reason: Why the pose is not reached (N,), '' if it is.
         steps: Newton steps taken, 0 for the linear method.
     """
 
@@ -112,7 +112,7 @@ class Compensation:
         Args:
             wanted: Positions that the controller computed with the nominal robot (N, na) [m or rad], or tool poses in the
                 base frame; of poses only the commanded axes count.
-            start: Where to search the positions of poses from, (na,) or (N, na); the robot's home unless given.
+            start: Starting positions of the search for poses, (na,) or (N, na); the robot's home by default.
         """
         if isinstance(wanted, Poses):
             guess = self.robot.home if start is None else np.asarray(start, float)
@@ -148,7 +148,7 @@ class Compensation:
 
     @cached_property
     def _reach(self) -> tuple[np.ndarray, np.ndarray]:
-        """Positions beyond which Newton has lost its way: half a range outside the limits, or a turn from home without any."""
+        """Bounds at which Newton's method has failed: half a range outside the limits, or one turn from home without any."""
         lower, upper, home = self.robot.lower, self.robot.upper, self.robot.home
         half = 0.5 * (upper - lower)
         return np.where(np.isfinite(half), lower - half, home - _TURN), np.where(
@@ -216,10 +216,10 @@ def build_compensation(
 
     Args:
         robot: The robot file.
-        geometry: Its geometry, as it was fitted.
+        geometry: Its fitted geometry.
         theta: Calibrated parameters (p,), such as `fit(...).theta`.
         method: 'exact' or 'linear'.
-        axes: Commanded part of the pose, one name a joint (`x y z rx ry rz`); by default what the
+        axes: Commanded part of the pose, one name a joint (`x y z rx ry rz`); by default the coordinates that the
             kinematics command, or all six.
         nominal: Parameters that the controller computes with (p,); the robot file's unless given.
         limits: Whether positions beyond the joints' limits are refused.

@@ -1,4 +1,4 @@
-"""How well a model predicts poses that it has not seen, by folds of the training poses, and whether a larger one does better."""
+"""Cross-validation: prediction errors at training poses left out of the fit, and a paired comparison of two models."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MIN_RELATIVE_GAIN = 0.02  # share of the weighted rms error that a larger model
 
 
 def earns_parameters(gain: Gain) -> bool:
-    """Return whether a larger model is worth its parameters, by its gain on training poses that no refit has seen."""
+    """Return whether a larger model is worth its parameters, by its gain on training poses left out of the refits."""
     significant = gain.p_value is not None and gain.p_value < _SIGNIFICANCE_LEVEL
     return significant and gain.reduction_percent > 100 * _MIN_RELATIVE_GAIN
 
@@ -62,7 +62,7 @@ def cross_validate(fitted: GeometryFit, seed: int = 0, parts: Sequence[np.ndarra
 
 
 def _without(fitted: GeometryFit, rest: np.ndarray) -> GeometryFit:
-    """Return a fit to some of the poses, from where the whole one stands and with its noise."""
+    """Return a fit to some of the poses, started from the fit to all poses and with its noise."""
     poses = fitted.poses.take(rest)
     problem = Problem(
         fitted.geometry, poses, fitted.unknowns, fitted.kind, poses.rotation is not None and fitted.geometry.orients
@@ -74,10 +74,10 @@ def _without(fitted: GeometryFit, rest: np.ndarray) -> GeometryFit:
 
 
 def compare_paired(small: PoseErrors, large: PoseErrors, seed: int = 0) -> Gain:
-    """Return what a larger model gains over a smaller one on the same poses; those of one joint configuration count as one.
+    """Return the gain of a larger model over a smaller one on the same poses; those of one joint configuration count as one.
 
-    Position and orientation count as in a Gaussian likelihood: each in units of what the larger model leaves of it. The p-value
-    is that of Wilcoxon's signed ranks, one-sided; the interval is by bootstrap over poses.
+    Position and orientation are weighted as in a Gaussian likelihood, each in units of the larger model's residual. The p-value
+    is that of Wilcoxon's one-sided signed-rank test; the interval is by bootstrap over poses.
     """
     noise = large.noise()
     a, b = small.score(noise), large.score(noise)
@@ -99,7 +99,7 @@ _MAX_ERROR_GROWTH = 1.5
 
 
 def is_worse_in_order(small: GeometryFit, large: GeometryFit) -> bool:
-    """Tell whether a larger model predicts blocks of neighbouring poses worse: on the whole, or the worst of them."""
+    """Return whether a larger model predicts blocks of neighbouring poses worse: on the whole, or the worst of them."""
     parts = split_in_order(small.poses)
     a, b = (cross_validate(fitted, parts=parts) for fitted in (small, large))
     noise = b.noise()

@@ -1,7 +1,7 @@
-"""How exact each of several devices and fixtures is: a fit weighs a wire, a tracker and a pin by what each one leaves.
+"""Accuracy of each of several devices and fixtures: a fit weights a wire, a tracker and a pin by their own residuals.
 
-The scatter of a device is that of its residuals by what the fitted parameters leave of them. Devices of one kind are equally
-exact unless an F test tells them apart. Weights and fit are found in turn (iterated weighted least squares; Carroll & Ruppert
+The variance of a device is the sum of its squared residuals over their degrees of freedom. Devices of one kind are equally
+accurate unless an F test separates them. Weights and fit are computed in turn (iterated weighted least squares; Carroll & Ruppert
 1988, 2).
 """
 
@@ -26,7 +26,7 @@ _MIN_NUMBERS = 6.0  # numbers beyond the parameters' share; with fewer, the scat
 
 
 class _Scatter(NamedTuple):
-    """Sum of squared residuals of devices, in units of the fit's noise, and the numbers that parameters leave of them."""
+    """Sum of squared residuals of devices, in units of the fit's noise, and their degrees of freedom."""
 
     square: np.ndarray
     left: np.ndarray
@@ -49,7 +49,7 @@ def weigh_devices(family: Family, poses: PoseSet, options: Options) -> PoseSet:
 
 
 def _pool(poses: PoseSet, scatter: _Scatter) -> np.ndarray:
-    """Return the standard error of each device (devices,): that of its kind, or its own where it differs significantly."""
+    """Return the standard error of each device (devices,): that of its kind, or its own if it differs significantly."""
     out = np.ones(len(poses.devices))
     for kind in set(poses.kinds):
         alike = np.array([one == kind for one in poses.kinds]) & (scatter.left >= _MIN_NUMBERS)
@@ -81,7 +81,7 @@ def _test_alike(scatter: _Scatter, alike: np.ndarray, k: int) -> float:
 
 
 def _measure_scatter(fitted: GeometryFit) -> _Scatter:
-    """Return what the residuals of each device leave; measurements without weight take no part."""
+    """Return each device's sum of squared residuals and degrees of freedom; measurements without weight do not count."""
     poses, n, m = fitted.poses, *fitted.residuals.shape
     used = fitted.state.ok & (fitted.weights > 0)
     square = np.where(used, fitted.weights * np.sum((fitted.residuals / fitted.sigma) ** 2, axis=1), 0.0)

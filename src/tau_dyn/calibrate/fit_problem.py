@@ -1,21 +1,21 @@
-r"""What a fit to poses makes small, its derivatives by all unknowns, and the descent in rounds that settle noise and weights.
+r"""Objective of a fit to poses, its derivatives by all unknowns, and the descent in iterations that estimate noise and weights.
 
     forward   measured minus predicted position [m] and the rotation between them [rad] (thesis (5.5))
     closure   |A(q) - B(X)| - L of every rod at the measured pose [m]: always exists, but weighs poses by their
               geometry (thesis (5.1))
-    inverse   actuated positions that the measured pose asks for, minus those commanded [m or rad]
+    inverse   actuated positions computed from the measured pose, minus those commanded [m or rad]
 
-The forward residual of a touch is over the robot's size, in units of the nominal one.
+The forward residual of a touch is divided by the robot's size relative to the nominal size.
 
 A rotation residual is a rotation vector in the device's axes; its derivative leaves out terms of the residual's own size
-(`J_l^-1(r) = I - O(r)`), which are gone at the optimum. Minimised is
+(`J_l^-1(r) = I - O(r)`), which are negligible at the optimum. The objective is
 
     sum_k w_k |r_k / (e_k sigma)|^2 + sum_i ((theta_i - nominal_i) / scale_i)^2,
 
-`e_k` stated standard errors over their median. The second sum says that a robot is built to its drawing within `scale` (10 mm,
-10 mrad): it decides nothing that poses can tell, and keeps combinations that they hardly see from running away. The noise
-`sigma` of each block (position, orientation) is its sum of squares by what the parameters leave of it, `n_b - trace(H_b)`, `H`
-the hat matrix. Reference: Khalil & Dombre 2002, 11.5; Everett 1989; Renaud et al. 2006.
+with `e_k` the stated standard errors over their median. The second sum is the prior that a robot is built to its drawing within
+`scale` (10 mm, 10 mrad): it does not affect combinations that the poses determine, and bounds those that they hardly determine.
+The variance `sigma^2` of each block (position, orientation) is its sum of squares over its degrees of freedom,
+`n_b - trace(H_b)`, with `H` the hat matrix. Reference: Khalil & Dombre 2002, 11.5; Everett 1989; Renaud et al. 2006.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ KINDS = ("forward", "closure", "inverse")
 
 
 class FitState(NamedTuple):
-    """Where a fit stands.
+    """State of a fit.
 
     Attributes:
         theta: The geometry's parameters (p,).
-        frames: Device and target.
-        base: Predicted tool poses in the robot's base frame (N); of an encoder its arc or travel along x.
-        ok: Whether they were found (N,).
-        slack: Backlash of the actuated joints [m or rad], and last by how long all joints were read too early [s] (na + 1,).
+        frames: Frames of device and target.
+        base: Predicted tool poses in the robot's base frame (N); for an encoder its arc or travel along x.
+        ok: Whether a pose was found (N,).
+        slack: Backlash of the actuated joints [m or rad], and last how long all joints were read too early [s] (na + 1,).
     """
 
     theta: np.ndarray
@@ -68,8 +68,8 @@ class Problem:
 
     Attributes:
         geometry: The mechanism.
-        poses: What was measured.
-        unknowns: What may change.
+        poses: The measurements.
+        unknowns: The unknowns of the fit.
         kind: `forward`, `closure` or `inverse`.
         turned: Whether measured orientations count.
     """
@@ -223,8 +223,8 @@ class Problem:
 def compute_size_slope(geometry: Geometry, q: np.ndarray) -> np.ndarray:
     """Return the derivative (p,) of a robot's size, over the nominal one, by its parameters.
 
-    What only touches shows no absolute length, and a smaller robot misses by less: residuals of touches are relative to the size.
-    It is the component along the nominal lengths, and does not change with what moves no tool in any way that frames would not.
+    Touches alone do not determine an absolute length, and a smaller robot has smaller residuals: those of touches are relative
+    to the size. The size is the component along the nominal lengths; changes that frames compensate do not affect it.
 
     Args:
         geometry: The mechanism.
@@ -248,7 +248,7 @@ def compute_size_slope(geometry: Geometry, q: np.ndarray) -> np.ndarray:
 
 
 def get_blind_limit(poses: PoseSet) -> float:
-    """Return the singular value of scaled, whitened columns below which a combination counts as blind; 0 is rounding alone."""
+    """Return the singular value of scaled, whitened columns below which a combination is unidentifiable; 0: rounding alone."""
     return 0.0 if poses.shows_frames else _BARELY
 
 
@@ -265,7 +265,7 @@ def _require_square(slope: np.ndarray) -> np.ndarray:
 def compute_actuated_positions(poses: PoseSet, slack: np.ndarray) -> np.ndarray:
     """Return actuated positions (N, na) behind the backlash when the tool was measured.
 
-    A joint that came from below stands half of the backlash too low; one that was read too early moved on.
+    A joint that approached from below is too low by half of the backlash; one that was read too early has moved further.
     """
     if not slack.any():
         return poses.q
@@ -283,36 +283,37 @@ def compute_slack_slopes(poses: PoseSet, slack: np.ndarray) -> np.ndarray:
 
 _MAX_ROUNDS = 15  # bounds the time of a fit that does not converge
 _MAX_STEPS = 15  # of Gauss-Newton in one round
-_RELATIVE_CHANGE_TOL = 1e-2  # of the noise: what a round may still change
-_SETTLED_NOISE_CHANGE = 0.2  # relative change of the noise below which a round walks to the end
+_RELATIVE_CHANGE_TOL = 1e-2  # of the noise: largest change in the last iteration
+_SETTLED_NOISE_CHANGE = 0.2  # relative change of the noise below which an iteration runs to convergence
 _SLOW_GAIN = 0.02
-"""Gain of the last round, for each unknown, below which the fit counts as at rest. The sum at the truth is above the minimum by
-about one for each unknown, so that predictions still move by a seventh of their standard errors: a curved valley that poses
-hardly show, such as the target's place on a plate that does not turn."""
-_FREE_FRAMES = 1e3  # how much less than dimensions frames are known beforehand
-_UNIDENTIFIABLE_PRIOR_WEIGHT = 1e5  # prior of parameters that poses cannot tell, in units of 1 / scale
+"""Gain of the last iteration, for each unknown, below which the fit counts as converged. The sum at the truth is above the
+minimum by about one for each unknown, so that predictions still move by a seventh of their standard errors: a curved valley
+that poses hardly determine, such as the target's place on a plate that does not turn."""
+_FREE_FRAMES = 1e3  # ratio of the prior standard deviations of frames and dimensions
+_UNIDENTIFIABLE_PRIOR_WEIGHT = 1e5  # prior of parameters that poses do not identify, in units of 1 / scale
 _FULL_STEPS = 4  # undamped Gauss-Newton steps along a curved valley
 _MIN_NOISE = 1e-9  # [m or rad], of poses without noise
 _BARELY = 1e-2
-"""Singular value below which a combination of distances, touches or several devices counts as blind: the prior has 1e4 times its
-information. Else the noise of fitted axes, parallel in the file, would decide which parameters are estimated."""
+"""Singular value below which a combination of distances, touches or several devices counts as unidentifiable: the prior has
+1e4 times its information. Otherwise the noise of fitted axes, parallel in the file, would
+decide which parameters are estimated."""
 _BLIND = 1e-9  # of the largest singular value: rounding
-_RANK_TOLERANCE = 1e-14  # rounding: the prior tells every unknown something
+_RANK_TOLERANCE = 1e-14  # rounding: the prior has information on every unknown
 _RULES = DescentRules(_MAX_STEPS, small_step=1e-3, small_gain=1e-3, first_damping=0.1, growth=5.0, max_trials=10)
 """A step is the last that moves predictions by a thousandth of the noise (rms) or gains a thirtieth of a standard error."""
 
 
 @dataclass(frozen=True, eq=False)
 class WeightedProblem:
-    """A `Problem` as `descend` takes it: residuals over their noise, weights against bad poses, the prior.
+    """A `Problem` for `descend`: residuals over their noise, robust weights of the poses, the prior.
 
     Attributes:
         problem: Residuals and their derivatives.
         robust: Kind of weights.
         noise: Standard deviation of each block of residuals.
-        trust: Of the prior of each free unknown (f,), in units of 1 / scale.
-        homeless: Which free unknowns have no nominal value, or none that counts (f,).
-        weights: Of the poses (N,) where they stay; by the residuals of each state unless given.
+        trust: Weight of the prior of each free unknown (f,), in units of 1 / scale.
+        homeless: Which free unknowns have no nominal value, or no relevant one (f,).
+        weights: Fixed weights of the poses (N,); by default from the residuals of each state.
     """
 
     problem: Problem
@@ -341,7 +342,7 @@ class WeightedProblem:
 
     @cached_property
     def nominal(self) -> np.ndarray:
-        """Nominal values of all unknowns (P,); frames at rest, as the target sits where the file's tool is."""
+        """Nominal values of all unknowns (P,); identity for the frames, as the target is nominally at the file's tool."""
         u = self.problem.unknowns
         values = np.array([p.value for p in u.rows])
         values[u.n_geometry : u.n_geometry + u.n_frames] = 0.0
@@ -359,7 +360,7 @@ class WeightedProblem:
         return self.problem.relative * np.repeat(self.noise, self.problem.blocks)
 
     def whiten(self, state: FitState) -> tuple[np.ndarray, np.ndarray]:
-        """Return residuals (N, m) in units of the noise and weights (N,); poses without prediction weigh nothing."""
+        """Return residuals (N, m) in units of the noise and weights (N,); poses without a prediction have zero weight."""
         r = np.where(state.ok[:, None], self.problem.residuals(state) / self.sigma, 0.0)
         w = self.weights
         w = compute_robust_weights(self.robust, np.linalg.norm(r, axis=1), r.shape[1]) if w is None else w
@@ -385,7 +386,7 @@ class WeightedProblem:
         return self.problem.moved(state, whole)
 
     def gain(self, state: FitState, trial: FitState) -> float:
-        """Return by how much the sum falls at the state's weights; losing a pose is no way down."""
+        """Return the decrease of the sum at the state's weights; minus infinity if a pose is lost."""
         if trial.ok.sum() < state.ok.sum():
             return -np.inf
         (before, w), (after, _) = self.whiten(state), self.whiten(trial)
@@ -393,7 +394,7 @@ class WeightedProblem:
         return float(np.sum(w[:, None] * (before**2 - after**2)) + prior)
 
     def deviation(self, state: FitState) -> np.ndarray:
-        """Return how far free unknowns are from nominal (f,); the homeless count as at home, wherever they are."""
+        """Return how far free unknowns are from nominal (f,); zero for those without a nominal value."""
         frames = [p.value for p in state.frames.parameters()]
         values = np.concatenate([state.theta, frames, state.slack])
         return np.where(self.homeless, 0.0, (values - self.nominal)[self.free])
@@ -403,7 +404,7 @@ class WeightedProblem:
         return self.deviation(state) / self.scales * self.trust
 
     def estimate_noise(self, state: FitState) -> tuple[float, ...]:
-        """Return each block's noise by what the parameters leave of its residuals."""
+        """Return each block's noise from its residuals and their degrees of freedom."""
         r, w = self.whiten(state)
         hat = self.linearise(state).leverage[: r.size].reshape(r.shape)
         out, used = [], w > 0
@@ -420,7 +421,7 @@ class WeightedProblem:
         return tuple(out)
 
     def identify(self, state: FitState) -> Identifiability:
-        """Return what the poses can tell at a state, or prior knowledge of what is known beforehand."""
+        """Return the unknowns that the poses, or prior knowledge of those known beforehand, identify at a state."""
         u = self.problem.unknowns
         columns = self.columns(state, self.whiten(state)[1]).reshape(self.sigma.size, len(self.free))
         priority = u.priority[self.free]
@@ -440,7 +441,7 @@ class WeightedProblem:
 
 
 class Rounds(NamedTuple):
-    """Where descents in rounds ended: the state, the problem at the noise that settled, steps tried, whether at rest."""
+    """End of an iterated descent: the state, the problem at the converged noise, number of steps, whether it converged."""
 
     state: FitState
     weighted: WeightedProblem
@@ -449,7 +450,7 @@ class Rounds(NamedTuple):
 
 
 def descend_in_rounds(problem: Problem, robust: str, noise: tuple[float, ...] | None, state: FitState) -> Rounds:
-    """Walk down from a state in rounds that settle noise and weights; a given noise stays.
+    """Minimise from a state in iterations that estimate noise and weights; a given noise stays fixed.
 
     The noise of all blocks falls in proportion, by the block that falls least, until that block settles. A block at its own
     noise from the start holds the parameters in a narrow curved valley, along which the other block needs hundreds of steps.
@@ -481,10 +482,10 @@ def descend_near(weighted: WeightedProblem, state: FitState, max_steps: int) -> 
 
 
 def reset_unidentifiable(weighted: WeightedProblem, state: FitState, found: Identifiability) -> FitState:
-    """Return the state with parameters that cannot be told at their nominal values, the others making up for it.
+    """Return the state with unidentifiable parameters at their nominal values; the others are refitted.
 
-    The target's place among them: left adrift along what nobody sees, it would take dimensions with it. Poses keep their weights:
-    on the way their residuals may grow for a while, and robust weights would give all of them up.
+    The target's place is included: if it drifted along an unobservable direction, dimensions would drift with it. The weights of
+    the poses are fixed: their residuals may grow temporarily, and robust weights would reject all of them.
     """
     u = weighted.problem.unknowns
     tool = u.n_geometry + u.n_device
@@ -496,7 +497,7 @@ def reset_unidentifiable(weighted: WeightedProblem, state: FitState, found: Iden
     held = replace(weighted, trust=trust, homeless=homeless, weights=weighted.whiten(state)[1])
     if not np.any(held.deviation(state)[own]):
         return state
-    for _ in range(_FULL_STEPS):  # whole steps get along a curved valley where a falling sum would not
+    for _ in range(_FULL_STEPS):  # full steps follow a curved valley where steps with a decreasing sum would not
         trial = held.move(state, held.linearise(state).step(0.0)[0])
         if trial.ok.sum() < state.ok.sum():
             break

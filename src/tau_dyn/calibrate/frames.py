@@ -1,11 +1,11 @@
-"""Where the measuring device stands and where its target sits on the tool: what turns a robot's tool pose into a measurement.
+"""Frames of the measuring device and of its target on the tool, which convert a robot's tool pose into a measurement.
 
     R_m = R_D R R_T,    p_m = p_D + R_D (p + R p_T),
 
 with `(R_D, p_D)` the robot's base in the device's frame (X_DB) and `(R_T, p_T)` the target in the tool frame (thesis (5.3)).
-Rotations change on their manifold: `R_D <- Exp(d) R_D`, `R_T <- R_T Exp(d)`. Campaigns may each have frames of their own.
-A device that tells a distance, or a fixture that the target touches, has such a frame too; what its numbers do not show stays.
-An encoder of a passive joint has none: both are the identity.
+Rotations change on their manifold: `R_D <- Exp(d) R_D`, `R_T <- R_T Exp(d)`. Each campaign may have its own frames.
+A distance-measuring device, or a fixture that the target touches, has such a frame too; the part of it that the measurements do
+not determine is fixed. An encoder of a passive joint has no frames: both are the identity.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Frame(NamedTuple):
 
     @property
     def inverse(self) -> Frame:
-        """The placement the other way round."""
+        """The inverse placement."""
         return Frame(self.rotation.T, -self.rotation.T @ self.translation)
 
 
@@ -42,13 +42,13 @@ IDENTITY = Frame(np.eye(3), np.zeros(3))
 class DeviceFrames:
     """Device and target: one of each, a device for every campaign, a target for every campaign or for every target.
 
-    Methods take which of them each pose has: `setup` (N, 2), or (N,) where both are numbered alike.
+    Methods take the device and the target of each pose: `setup` (N, 2), or (N,) if both have the same number.
 
     Attributes:
-        device: The robot's base frame in the device's.
+        device: The robot's base frame in the device's frame.
         tool: The target in the tool frame.
-        kinds: What each device tells, a name of `KINDS`; all poses unless given.
-        lengths: Offset of distances or radius of a ball of each device [m], zero of an encoder [rad or m]; zeros unless given.
+        kinds: Kind of measurement of each device, a name of `KINDS`; by default all poses.
+        lengths: Offset of distances or radius of a ball of each device [m], zero of an encoder [rad or m]; zeros by default.
     """
 
     device: tuple[Frame, ...] = (IDENTITY,)
@@ -57,13 +57,13 @@ class DeviceFrames:
     lengths: tuple[float, ...] = ()
 
     def measured(self, base: Poses, setup: np.ndarray) -> Poses:
-        """Return what the device sees (N) of tool poses in the robot's base frame."""
+        """Return the measured target poses (N) from tool poses in the robot's base frame."""
         rd, td, rt, tt = self.of_each(setup)
         position = base.position + np.einsum("nij,nj->ni", base.rotation, tt)
         return Poses(td + np.einsum("nij,nj->ni", rd, position), rd @ base.rotation @ rt)
 
     def in_base(self, measured: Poses, setup: np.ndarray) -> Poses:
-        """Return tool poses in the robot's base frame (N) from what the device saw; needs orientation."""
+        """Return tool poses in the robot's base frame (N) from measured target poses; needs orientation."""
         rd, td, rt, tt = self.of_each(setup)
         back = np.swapaxes(rd, 1, 2)
         rotation = back @ measured.rotation @ np.swapaxes(rt, 1, 2)
@@ -80,7 +80,7 @@ class DeviceFrames:
         return np.concatenate([rd @ linear, rd @ angular], axis=1)
 
     def brought(self, base: Poses, twist: np.ndarray, setup: np.ndarray) -> np.ndarray:
-        """Return twists of the tool in the base's axes (N, 6, p) from twists of the target in the device's: `carried` undone."""
+        """Return twists of the tool in the base's axes (N, 6, p) from those of the target in the device's; undoes `carried`."""
         rd, _, _, tt = self.of_each(setup)
         back = np.swapaxes(rd, 1, 2)
         arm = np.einsum("nij,nj->ni", base.rotation, tt)
@@ -138,7 +138,7 @@ class DeviceFrames:
         return DeviceFrames(d, t, self.kinds, tuple(new))
 
     def apart(self, devices: int, tools: int) -> DeviceFrames:
-        """Return as many frames; where there was one, it stands for all."""
+        """Return frames for so many devices and targets; a single frame is repeated for all."""
         out = self if len(self.tool) == tools else replace(self, tool=self.tool[:1] * tools)
         if len(self.device) == devices:
             return out
@@ -179,7 +179,7 @@ class DeviceFrames:
         return *pick(self.device, device), rotation, translation
 
     def _of_encoders(self, device: np.ndarray) -> np.ndarray:
-        """Tell which poses (N,) an encoder measured, by their devices' numbers."""
+        """Return which poses (N,) an encoder measured, by their devices' numbers."""
         if not set(self.kinds) & set(ENCODERS):
             return np.zeros(len(device), bool)
         return np.array([kind in ENCODERS for kind in self.kinds])[np.minimum(device, len(self.kinds) - 1)]
@@ -230,10 +230,10 @@ def _spread(columns: np.ndarray, campaign: np.ndarray, many: int) -> np.ndarray:
 
 
 _FLAT = 1e-3
-"""Thickness of a cloud of positions, relative to its extent, below which it is a plane."""
+"""Thickness of a cloud of positions, relative to its extent, below which it counts as a plane."""
 
 
 def is_flat(points: np.ndarray) -> bool:
-    """Tell whether points (N, 3) lie in a plane."""
+    """Return whether points (N, 3) lie in a plane."""
     s = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(len(s) < 3 or s[2] < _FLAT * s[0])

@@ -1,4 +1,4 @@
-r"""What calibration needs to know of a mechanism: its dimensions as parameters, and how the tool moves with them.
+r"""Interface of a mechanism for calibration: its dimensions as parameters, and the derivatives of the tool pose by them.
 
 Everything else (frames, weights, uncertainty, identifiability, choice of poses) is written once against `Geometry`.
 Values travel separately as a vector `theta` (p,), so that a geometry is frozen; poses are in the robot's base frame,
@@ -23,16 +23,16 @@ from tau_dyn.results import Brief
 from tau_dyn.robot import Robot
 
 KNOWN_BEFOREHAND = 1000
-"""Priority of a parameter that its `prior_stderr` tells where poses do not: never dropped, its uncertainty always counts."""
+"""Priority of a parameter with prior knowledge (`prior_stderr`): it is never dropped, and its uncertainty always counts."""
 
 
 class Predicted(NamedTuple):
-    """Where a model says that the tool is.
+    """Tool poses predicted by a model.
 
     Attributes:
         poses: Tool poses (N) in the robot's base frame; nan where not `ok`.
         ok: Whether a pose was found (N,).
-        reason: Why not (N,), '' where it was.
+        reason: Why no pose was found (N,), '' if one was found.
     """
 
     poses: Poses
@@ -41,13 +41,13 @@ class Predicted(NamedTuple):
 
 
 class Closure(NamedTuple):
-    """How far tool poses leave the loops open, and its derivatives.
+    """Gaps of the loops at given tool poses, and their derivatives.
 
     Attributes:
-        gap: (N, m) [m].
-        by_parameter: (N, m, p).
-        by_pose: By the tool's twist (N, m, 6).
-        by_joint: By the actuated joints (N, m, na).
+        gap: Gaps (N, m) [m].
+        by_parameter: Derivative by the parameters (N, m, p).
+        by_pose: Derivative by the tool's twist (N, m, 6).
+        by_joint: Derivative by the actuated joints (N, m, na).
     """
 
     gap: np.ndarray
@@ -59,13 +59,13 @@ class Closure(NamedTuple):
 class Geometry(Brief, ABC):
     """A mechanism whose dimensions are parameters.
 
-    Most have no closure of their own (a tree's loops involve passive joints, which nobody measures), and nothing that a robot
-    file or a compensation file could hold; that is what is answered here.
+    The defaults are those of a mechanism without a closure residual (a tree's loops involve passive joints, which are not
+    measured) and without a robot file or a compensation file that could hold it.
 
     Attributes:
-        parameters: Nominal values; units m, rad, 1. Parameters that are not `free` stay at their value.
-        priority: Whole numbers (p,): where parameters depend on each other, those with smaller ones are kept.
-        beyond_file: What of it no robot file can hold, '' where one can hold everything.
+        parameters: Nominal values; units m, rad, 1. Parameters that are not `free` are fixed at their value.
+        priority: Whole numbers (p,): among dependent parameters those with smaller numbers are kept.
+        beyond_file: The part of the geometry that no robot file can hold, '' if a file can hold everything.
     """
 
     parameters: Parameters
@@ -84,7 +84,7 @@ class Geometry(Brief, ABC):
 
     @abstractmethod
     def forward(self, theta: np.ndarray, q: np.ndarray, start: Poses | None = None) -> Predicted:
-        """Return tool poses at `q` (N, na), found from `start` where one is given."""
+        """Return tool poses at `q` (N, na), searched from `start` if given."""
 
     @abstractmethod
     def tool_by_parameter(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> np.ndarray:
@@ -105,7 +105,7 @@ class Geometry(Brief, ABC):
         return self.robot.position_units
 
     def under(self, loads: np.ndarray) -> Geometry:
-        """Return the geometry itself: nothing of it yields."""
+        """Return the geometry itself: it has no elastic parts."""
         return self
 
     def split_springs(self, theta: np.ndarray) -> tuple[Geometry, np.ndarray, dict[str, tuple[str, float]]]:
@@ -116,7 +116,7 @@ class Geometry(Brief, ABC):
         """Return the positions (N, k) of passive joints that close the loops, nan where they cannot be closed.
 
         Raises:
-            InputError: The robot is no tree with loops.
+            InputError: The robot is not a tree with loops.
         """
         raise InputError(
             "unsupported", f"{', '.join(joints)}: encoders of passive joints need a robot as a tree with loops"
@@ -131,16 +131,16 @@ class Geometry(Brief, ABC):
         return self.passive(theta, q, joints)
 
     def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> Closure | None:
-        """Return how far tool poses (N) leave the loops open (thesis (5.1)), None where the mechanism has no such residual."""
+        """Return the gaps of the loops at tool poses (N) (thesis (5.1)), None if the mechanism has no closure residual."""
         return None
 
     @property
     def description(self) -> dict[str, Any] | None:
-        """How a compensation file describes it (`build_described_geometry`), None where it cannot."""
+        """Description of the geometry in a compensation file (`build_described_geometry`), None if there is none."""
         return None
 
     def rods_at(self, theta: np.ndarray) -> Rods | None:
-        """Return the rods with these dimensions, without the laws, for kinematics; None of a robot without rods."""
+        """Return the rods with these dimensions, without the laws, for kinematics; None for a robot without rods."""
         return None
 
     def format_urdf(self, theta: np.ndarray) -> str:
@@ -160,7 +160,7 @@ class Geometry(Brief, ABC):
 class ConstrainedGeometry(Geometry):
     """A geometry with fewer parameters: several of the original ones move together, or not at all.
 
-    `theta = theta_0 + Z (y - y_0)`: equal rods, parallel guideways and other simplifications are such ties.
+    `theta = theta_0 + Z (y - y_0)`: equal rods, parallel guideways and other simplifications are such constraints.
 
     Attributes:
         geometry: The original.
@@ -218,7 +218,7 @@ class ConstrainedGeometry(Geometry):
         return self.geometry.passive_by_joint(self.full(theta), q, joints)
 
     def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> Closure | None:
-        """Return how far tool poses leave the loops open."""
+        """Return the gaps of the loops at tool poses."""
         found = self.geometry.closure(self.full(theta), q, poses)
         return None if found is None else found._replace(by_parameter=found.by_parameter @ self.matrix)
 
@@ -231,7 +231,7 @@ def constrain_parameters(
     Args:
         geometry: The original.
         together: New name -> names of the parameters that change by the same amount; its nominal value is their mean.
-        left_out: Parameters that stay.
+        left_out: Parameters that are fixed.
 
     Raises:
         UnknownName: A parameter that the geometry does not have.
@@ -259,7 +259,7 @@ def constrain_parameters(
 
 
 def expand_constraints(geometry: Geometry, *thetas: np.ndarray) -> tuple[Geometry, tuple[np.ndarray, ...]]:
-    """Return the original behind all ties, and vectors of parameters (each (r,)) as the original's (p,)."""
+    """Return the unconstrained geometry, and vectors of parameters (each (r,)) as the original's (p,)."""
     while isinstance(geometry, ConstrainedGeometry):
         thetas, geometry = tuple(geometry.full(theta) for theta in thetas), geometry.geometry
     return geometry, thetas

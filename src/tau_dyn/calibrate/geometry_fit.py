@@ -1,7 +1,7 @@
 """A geometry, the measuring device's frame and the target's place fitted to measured poses, with uncertainty and sensitivities.
 
-A model needs at least its rank over the joints' range by the numbers that one pose gives, and one pose more. How much each
-parameter matters is how far the tool moves and turns when it alone is off (thesis (5.8), Table 5.10).
+A model needs at least its rank over the joints' range divided by the numbers of one pose, and one pose more. The sensitivity to
+a parameter is the tool's displacement and rotation if it alone is wrong (thesis (5.8), Table 5.10).
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import Brief
 
 _UNKNOWN_FRAME = 1.0
-"""Standard deviation [m or rad] of a frame along a direction that no pose shows: anywhere in a room, turned anyhow."""
+"""Standard deviation [m or rad] of a frame along a direction that no pose determines: any position in a room, any orientation."""
 
 
 def count_required_poses(rank: int, per_pose: int) -> int:
-    """Return the fewest poses that leave at least one pose's numbers over for judging the noise."""
+    """Return the smallest number of poses that leaves at least one pose's numbers for the estimate of the noise."""
     return -(-rank // per_pose) + 1
 
 
@@ -51,7 +51,7 @@ def check_count(problem: Problem, what: str) -> None:
     """Refuse fewer measurements than unknowns.
 
     Raises:
-        InputError: Too few poses; says how many are needed.
+        InputError: Too few poses; the message gives the required number.
     """
     poses, m = problem.poses, int(np.median(problem.numbers.sum(axis=1)))
     if poses.n >= count_required_poses(int(problem.unknowns.free.sum()), m):
@@ -114,22 +114,22 @@ class GeometryFit(Brief):
     """A geometry fitted to poses.
 
     Attributes:
-        geometry: What was fitted.
-        poses: To what.
-        unknowns: All unknowns and which were free.
-        state: Their values, and predicted tool poses.
+        geometry: The fitted geometry.
+        poses: The poses that it was fitted to.
+        unknowns: All unknowns and which of them were free.
+        state: Values of the unknowns, and predicted tool poses.
         cov: Covariance of the free unknowns (f, f) in the order of `identifiability.names`; zero where not
             identifiable.
-        residuals: (N, m), as the kind says.
-        kind: Of the residuals.
+        residuals: Residuals (N, m) of the given kind.
+        kind: Kind of the residuals.
         noise: Standard deviation of each block of residuals [m, rad], at poses of the median stated standard error.
-        weights: Of the poses (N,).
-        identifiability: What could be told.
+        weights: Weights of the poses (N,).
+        identifiability: Identifiable unknowns.
         columns: Whitened derivatives of the kept unknowns (N, m, r), for predictions and cross-validation.
-        prior_weights: Of the prior of the kept unknowns (r,), over their standard deviation.
-        prior_pulls: How far these are from nominal (r,), in standard deviations.
-        steps: Gauss-Newton steps taken.
-        converged: Whether it came to rest.
+        prior_weights: Weights of the prior of the kept unknowns (r,), over their standard deviation.
+        prior_pulls: Deviation of these from nominal (r,), in standard deviations.
+        steps: Number of Gauss-Newton steps.
+        converged: Whether the fit converged.
     """
 
     geometry: Geometry
@@ -197,7 +197,7 @@ class GeometryFit(Brief):
 
     @property
     def spread(self) -> float:
-        """Rms distance from their middle [m] of the measured positions, of the predicted ones where others were measured."""
+        """Rms distance from their middle [m] of the measured positions, or of the predicted ones if not measured."""
         if self.poses.as_poses().measures_poses:
             return self.poses.as_poses().spread
         if not self.poses.of_encoders.any():
@@ -214,11 +214,11 @@ class GeometryFit(Brief):
 
     @property
     def n_numbers(self) -> int:
-        """Independent numbers that were measured."""
+        """Number of independent measured coordinates."""
         return int(self.numbers.sum())
 
     def interval(self, parameter: Parameter, share: float = 0.95) -> tuple[float, float] | None:
-        """Return a parameter's interval (Student's t), None where it was not estimated."""
+        """Return a parameter's interval (Student's t), None if it was not estimated."""
         if parameter.stderr is None:
             return None
         half = float(stats.t.ppf(0.5 + share / 2, self.dof)) * parameter.stderr
@@ -226,9 +226,9 @@ class GeometryFit(Brief):
 
     @property
     def prediction_cov(self) -> np.ndarray:
-        """Covariance of the free unknowns (f, f) for predictions elsewhere: with what these poses do not determine.
+        """Covariance of the free unknowns (f, f) for predictions at other poses, with the undetermined directions.
 
-        A direction that they do not show is as uncertain as the robot file; along those of the frames nothing is known.
+        A direction that these poses do not determine is as uncertain as the robot file; there is no prior for frames.
         """
         found, free = self.identifiability, self.unknowns.free
         n_geometry, ends = self.unknowns.n_geometry, self.unknowns.n_frames
@@ -242,19 +242,19 @@ class GeometryFit(Brief):
 
     @property
     def correlation(self) -> np.ndarray:
-        """Correlations of the free unknowns (f, f), zero where not estimated."""
+        """Correlations of the free unknowns (f, f), zero if not estimated."""
         error = np.sqrt(np.diag(self.cov))
         safe = np.where(error > 0, error, 1.0)
         return self.cov / np.outer(safe, safe)
 
     def predict(self, poses: PoseSet) -> FitState:
-        """Return where this fit expects the tool at other poses' joints, in the robot's base frame."""
+        """Return the predicted tool poses at other poses' joint positions, in the robot's base frame."""
         q = compute_actuated_positions(poses, self.state.slack)
         found = predict_measured(self.geometry, self.theta, poses, q)
         return FitState(self.theta, self.frames, found.poses, found.ok, self.state.slack)
 
     def seen(self, poses: PoseSet, state: FitState | None = None) -> Poses:
-        """Return what the device should see of other poses."""
+        """Return the predicted measurements of other poses."""
         state = self.predict(poses) if state is None else state
         return self.frames.measured(state.base, poses.setup)
 
@@ -266,7 +266,7 @@ class GeometryFit(Brief):
         return turn, shift
 
     def errors(self, poses: PoseSet) -> PoseErrors:
-        """Return measured minus predicted at other poses; at a place that these poses do not show, by its other rows there."""
+        """Return measured minus predicted at other poses; at a place without fitted poses, by the place's other rows."""
         state, known = self.predict(poses), self._is_known(poses)
         own, base = self._keep_known(poses, known), state.base.take(known)
         seen, lengths = self.seen(own, state._replace(base=base)), self.frames.lengths_of(own.setup)
@@ -282,7 +282,7 @@ class GeometryFit(Brief):
         return PoseErrors(position, None, relative, poses.configuration, errors.oriented, poses.numbers, of_tool)
 
     def _is_known(self, poses: PoseSet) -> np.ndarray:
-        """Tell which poses (N,) were measured by devices that the fitted poses show."""
+        """Return which poses (N,) were measured by devices of the fitted poses."""
         return poses.device < len(self.poses.devices)
 
     def _keep_known(self, poses: PoseSet, known: np.ndarray) -> PoseSet:
@@ -293,7 +293,7 @@ class GeometryFit(Brief):
         return find_new_places(poses, base, len(self.poses.devices), self.frames, self.noise[0])
 
     def _target(self) -> np.ndarray | None:
-        """Return the target's orientation (3, 3) behind a plate that keeps its own: the mean that was measured."""
+        """Return the target's orientation (3, 3) on a plate that does not turn: the mean measured orientation."""
         if self.geometry.orients or self.poses.rotation is None:
             return None
         seen = self.frames.measured(self.state.base, self.poses.setup)
@@ -305,7 +305,7 @@ class GeometryFit(Brief):
 
         Args:
             q: Actuated positions (N, na) [m or rad].
-            loads: At the tool (N, 7) as in `PoseSet`, none unless given.
+            loads: Loads at the tool (N, 7) as in `PoseSet`; no load by default.
         """
         geometry = self.geometry if loads is None else self.geometry.under(loads)
         at, base = np.zeros((len(q), 2), int), geometry.forward(self.theta, q).poses
@@ -314,10 +314,10 @@ class GeometryFit(Brief):
         return np.sqrt(np.maximum(np.einsum("nif,fg,nig->n", columns, self.cov, columns), 0.0))
 
     def compute_prediction_columns(self, poses: PoseSet, base: Poses) -> np.ndarray:
-        """Return the derivative (N, 6, f) of what the device should measure by the free unknowns, in the middle of the backlash.
+        """Return the derivative (N, 6, f) of the predicted measurement by the free unknowns, in the middle of the backlash.
 
         Args:
-            poses: What was measured.
+            poses: Measured poses.
             base: Predicted tool poses there (N) in the robot's base frame.
         """
         known, u = self._is_known(poses), self.unknowns
@@ -351,7 +351,7 @@ class GeometryFit(Brief):
         """Return the derivative (N, 6, P) of the target's pose in the device's frame by all unknowns, but not by lengths.
 
         Args:
-            twist: Of the tool in the base's axes by the geometry's parameters (N, 6, p).
+            twist: Twist of the tool in the base's axes per geometry parameter (N, 6, p).
             base: Tool poses (N).
             setup: Device and target of each (N, 2).
         """
@@ -382,10 +382,10 @@ def fit_geometry_to_poses(
     """Fit a geometry's parameters, the measuring device's frame and the target's place to measured poses.
 
     Args:
-        geometry: Mechanism with its nominal parameters; those that are not `free` stay.
-        poses: What was measured; without orientations the positions alone are fitted.
-        fix: Names or patterns that stay.
-        free: Names or patterns that may change although they would stay.
+        geometry: Mechanism with its nominal parameters; those that are not `free` are fixed.
+        poses: Measured poses; without orientations only the positions are fitted.
+        fix: Names or patterns of parameters that are fixed.
+        free: Names or patterns of parameters that are free although they are fixed by default.
         residual: `forward`, `closure` or `inverse`.
         robust: Weights against bad poses: `none`, `huber` or `biweight`.
         device: Whether the device's frame is unknown; otherwise it is the robot's base frame (or `frames`).
@@ -394,13 +394,13 @@ def fit_geometry_to_poses(
         noise: Standard deviations of each block of residuals (position [m], orientation [rad]); estimated unless given.
         start: A fit of the same geometry, or its state, to start from.
         frames: Device and target to start from; found by aligning the nominal robot unless given.
-        apart: Whether every campaign has a device frame, a target of its own.
+        apart: Whether every campaign has its own device frame, and its own target.
         prior: Standard deviations of the robot's lengths [m] and perhaps angles [rad]; 10 mm and 10 mrad unless given.
         what: The model's name, for messages.
 
     Raises:
         InputError: Poses that do not fit the robot, too few of them, or a left-handed device.
-        CannotAnswer: The geometry cannot reach the poses from where the fit stands.
+        CannotAnswer: The geometry cannot reach the poses from the current state of the fit.
     """
     turned = poses.rotation is not None and geometry.orients
     state = _starting_state(geometry, poses, start, frames, device, tool=tool and geometry.orients)
@@ -423,7 +423,7 @@ def fit_geometry_to_poses(
 
 
 def _solve(problem: Problem, robust: str, noise: tuple[float, ...] | None, state: FitState, what: str) -> GeometryFit:
-    """Return the fit of a problem from a state, with what cannot be told at nominal and the others' covariance."""
+    """Return the fit of a problem from a state, with unidentifiable unknowns at nominal and the covariance of the others."""
     poses = problem.poses
     state, weighted, steps, converged = descend_in_rounds(problem, robust, noise, state)
     found = weighted.identify(state)
@@ -483,13 +483,13 @@ CHANGE = 5e-5
 
 
 class Sensitivity(NamedTuple):
-    """What a change of one parameter does.
+    """Effect of a change of one parameter on the tool.
 
     Attributes:
-        name: Of the parameter.
+        name: Name of the parameter.
         position: Accumulated tool displacement over all poses, both signs [m], `S_pos` of (5.8).
         rotation: Accumulated tool rotation [rad].
-        closure: Accumulated change of the closure residuals [m], nan where the mechanism has none.
+        closure: Accumulated change of the closure residuals [m], nan if the mechanism has no closure.
     """
 
     name: str
@@ -503,7 +503,7 @@ def compute_sensitivities(fitted: GeometryFit, change: float = CHANGE) -> tuple[
 
     Args:
         fitted: A fit.
-        change: Of each parameter, in its unit.
+        change: Change of each parameter, in its unit.
     """
     state = fitted.state
     ok = state.ok

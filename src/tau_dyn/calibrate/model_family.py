@@ -1,4 +1,4 @@
-"""A model's name, and what the models of every mechanism have in common: which additions a robot and its poses can have."""
+"""Names of models, and the part that is common to all mechanisms: the additions that a robot and its poses can have."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ADDITIONS = (
 )  # fmt: skip
 BETWEEN_CAMPAIGNS = ("base_frame", "tool_frame")
 OF_WHOLE = (*BETWEEN_CAMPAIGNS, "delay")
-"""Additions that no joint has by itself."""
+"""Additions of the whole robot, not of a joint."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class Spec:
     additions: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     def name_for(self, joints: Sequence[str]) -> str:
-        """Return the model's name, where `joints` could all have additions."""
+        """Return the model's name; `joints` are all joints that can have additions."""
         parts = [self.structure]
         for addition in ADDITIONS:
             own = self.additions.get(addition, ())
@@ -73,10 +73,10 @@ class Family(ABC):
     Attributes:
         structures: Structures, smallest first.
         joints: Actuated joints.
-        poses: Measured poses, which tell campaigns, travel and approach.
-        screened: Additions that residuals may ask for.
+        poses: Measured poses, which give campaigns, travel and approach.
+        screened: Additions that are tested on the residuals.
         known: Additions that a name may have.
-        place: What messages call a place of an addition.
+        place: Word for a place of an addition in messages.
     """
 
     structures: tuple[str, ...]
@@ -121,8 +121,8 @@ class Family(ABC):
         return spec
 
     def can_have(self, addition: str) -> tuple[str, ...]:
-        """Return the joints that an addition makes sense for; of couplings the pairs `JOINT/OTHER`."""
-        if addition in BETWEEN_CAMPAIGNS:  # targets that are told apart have their own frames anyway
+        """Return the joints that can have an addition; for couplings the pairs `JOINT/OTHER`."""
+        if addition in BETWEEN_CAMPAIGNS:  # separate targets have their own frames anyway
             own = addition == "tool_frame" and len(self.poses.targets) > 1
             several = len(self.poses.devices) > 1  # each of which has a frame of its own in every campaign
             return ("all",) if len(self.poses.campaigns) > 1 and not own and not several else ()
@@ -137,7 +137,7 @@ class Family(ABC):
         return WHY_NOT[addition]
 
     def move_with_base(self, q: np.ndarray, base: Poses) -> np.ndarray:
-        """Return the tool's twists (N, 6, k) of a base that turns in proportion to the robot's weight; none unless overridden.
+        """Return the tool's twists (N, 6, k) of a base that turns in proportion to the robot's weight; k = 0 unless overridden.
 
         Args:
             q: Actuated positions (N, na).
@@ -152,13 +152,13 @@ class Family(ABC):
 
     @cached_property
     def loading(self) -> JointLoading:
-        """What loads each joint over the poses."""
+        """Loads of each joint over the poses."""
         low, high = self.poses.q.min(axis=0), self.poses.q.max(axis=0)
         return JointLoading(StaticForces(self.nominal), low, high, self.poses.loads)
 
     @abstractmethod
     def places(self, addition: str) -> tuple[str, ...]:
-        """Return the joints that an addition of this mechanism makes sense for."""
+        """Return the joints that can have an addition of this mechanism."""
 
     @abstractmethod
     def build(self, spec: Spec, periods: dict[str, float] | None = None) -> Geometry:

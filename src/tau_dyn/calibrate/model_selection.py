@@ -1,7 +1,7 @@
-"""Which model the poses bear: structures from small to large, then additions that residuals ask for, each by cross-validation.
+"""Model selection: structures from small to large, then additions that the residuals support, each by cross-validation.
 
-A larger model is taken only where it predicts training poses that its refit had not seen significantly better, by a
-paired test over poses. Held-out poses take no part in it.
+A larger model is accepted only if it predicts the training poses left out of its refit significantly better, by a
+paired test over poses. Held-out poses are not used.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ class CandidateModel(Brief):
     """A fitted model.
 
     Attributes:
-        name: As on the command line.
-        spec: What it frees.
-        fit: To the training poses.
-        unseen: Errors at training poses, each predicted without its fold.
+        name: Name as on the command line.
+        spec: Structure and additions.
+        fit: Fit to the training poses.
+        unseen: Errors at the training poses, each predicted without its fold.
     """
 
     name: str
@@ -54,8 +54,8 @@ class RejectedAddition(NamedTuple):
     """An addition that fits the poses significantly better and has a sign or a size that no machine has.
 
     Attributes:
-        addition: Its kind.
-        place: Its joint, of a coupling `JOINT/OTHER`.
+        addition: Kind of the addition.
+        place: Its joint; `JOINT/OTHER` for a coupling.
         fit: The model with it.
         why: Its implausible number, as a phrase.
     """
@@ -73,7 +73,7 @@ class SelectionStep:
     Attributes:
         name: Model that was tried.
         over: Model that it was compared with.
-        gain: On training poses by cross-validation.
+        gain: Gain on training poses by cross-validation.
         taken: Whether it was worth its parameters.
         rejected: A significant addition that no machine has; None for all other steps.
     """
@@ -87,18 +87,18 @@ class SelectionStep:
 
 @dataclass(frozen=True)
 class Options:
-    """How models are fitted.
+    """Options of the fits of all models.
 
     Attributes:
-        fix: Names or patterns that stay.
-        free: Names or patterns that may change although they would stay.
+        fix: Names or patterns of parameters that are fixed.
+        free: Names or patterns of parameters that are free although they are fixed by default.
         residual: Kind of residual.
         robust: Kind of weights.
         device: Whether the device's frame is unknown.
         tool: Whether the target's place is unknown.
-        seed: Of folds and bootstrap.
+        seed: Seed of folds and bootstrap.
         additions: Additions that every model has.
-        prior: Standard deviations of the robot's lengths [m] and perhaps angles [rad]; the usual ones unless given.
+        prior: Standard deviations of the robot's lengths [m] and perhaps angles [rad]; 10 mm and 10 mrad by default.
     """
 
     fix: Sequence[str] = ()
@@ -120,7 +120,7 @@ def fit_spec(
     start: GeometryFit | None = None,
     periods: dict[str, float] | None = None,
 ) -> GeometryFit:
-    """Fit a model, from where another one's fit stands if one is given."""
+    """Fit a model, starting from the fit of another model if one is given."""
     geometry = family.build(spec, periods)
     state = None
     if start is not None:
@@ -131,7 +131,7 @@ def fit_spec(
 def fit_geometry(
     geometry: Geometry, spec: Spec, poses: PoseSet, options: Options, start: FitState | None, what: str
 ) -> GeometryFit:
-    """Fit a geometry that was built for a model; patterns of `options` that mean nothing in it are passed over."""
+    """Fit a geometry that was built for a model; patterns of `options` that match no parameter of it are ignored."""
     play = [f"{joint}.backlash" for joint in spec.additions.get("backlash", ())]
     play += [DELAY] if "delay" in spec.additions else []
     known = (*geometry.parameters.names, *_beside(geometry.actuated, poses))
@@ -154,9 +154,9 @@ def fit_geometry(
 
 
 def fit_widest(family: Family, chosen: CandidateModel, options: Options) -> GeometryFit:
-    """Return the fit of the largest structure that the poses bear, with the additions of a model.
+    """Return the fit of the largest structure that the poses support, with the additions of a model.
 
-    Dimensions that a smaller structure keeps are as uncertain as the robot file, and so is a frame that the poses do not separate
+    Dimensions that a smaller structure fixes are as uncertain as the robot file, and so is a frame that the poses do not separate
     from them.
     """
     for structure in reversed(family.structures):
@@ -195,15 +195,15 @@ def transfer_state(start: GeometryFit, names: Sequence[str], nominal: np.ndarray
 
 
 def _means(pattern: str, known: Sequence[str]) -> bool:
-    """Tell whether a pattern can match something in this model; dimensions that a smaller model ties are skipped silently."""
+    """Return whether a pattern can match something in this model; dimensions that a smaller model ties are skipped silently."""
     return any(fnmatchcase(name, pattern) for name in known)
 
 
 def check_patterns(family: Family, patterns: Sequence[str], model: str) -> None:
-    """Refuse names and patterns that no model of this robot knows.
+    """Refuse names and patterns that match no parameter of this robot's models.
 
     Raises:
-        UnknownName: Lists what there is.
+        UnknownName: No parameter matches; the message lists all names.
     """
     specs = [Spec(structure) for structure in family.structures] + ([] if model == "auto" else [family.spec(model)])
     known = dict.fromkeys(name for spec in specs for name in family.build(spec).parameters.names)
@@ -214,7 +214,7 @@ def check_patterns(family: Family, patterns: Sequence[str], model: str) -> None:
 
 
 def _beside(joints: Sequence[str], poses: PoseSet) -> list[str]:
-    """Return the names of unknowns beside a geometry: frames of devices and targets, offsets and radii, backlash, delay."""
+    """Return the names of the unknowns outside a geometry: frames of devices and targets, offsets and radii, backlash, delay."""
     frames = DeviceFrames((IDENTITY,), (IDENTITY,), ("pose",), (0.0,)).apart(1, len(poses.targets))
     devices = replace(frames, device=(IDENTITY,) * len(poses.frame_kinds), kinds=poses.frame_kinds)
     devices = replace(devices, lengths=(0.0,) * len(poses.frame_kinds))
@@ -274,9 +274,9 @@ def _structures(
 def _drop_needless(
     family: Family, poses: PoseSet, options: Options, taken: list[CandidateModel], moved: Sequence[str]
 ) -> tuple[list[CandidateModel], list[SelectionStep]]:
-    """Return the models without the frames between campaigns and the delay that add nothing in the largest one, and the steps.
+    """Return the models without the campaign frames and the delay that do not improve the largest model, and the steps.
 
-    A frame of its own may take up what dimensions of a later model explain, or what another frame does.
+    A separate frame may compensate an error that dimensions of a later model, or another frame, explain.
     """
     steps: list[SelectionStep] = []
     for addition in moved:
@@ -296,9 +296,9 @@ def _drop_needless(
 
 
 def _list_structures(family: Family, always: Mapping[str, tuple[str, ...]]) -> list[Spec]:
-    """Return the structures, after the robot file as it is those with the additions that every model has.
+    """Return the structures: first the robot file unchanged, then those with the additions that every model has.
 
-    Frames that moved between campaigns and a delay come before larger structures: what they do looks like geometry.
+    Frames that moved between campaigns and a delay come before larger structures: their effects look like geometry errors.
     """
     first, *rest = family.structures
     moved = [{a: family.can_have(a)} for a in OF_WHOLE if family.can_have(a)]
@@ -313,7 +313,7 @@ def _additions(
     start: CandidateModel,
     progress: Callable[[str], None],
 ) -> tuple[list[CandidateModel], list[SelectionStep]]:
-    """Return the models that additions make of the first one, each of the one before, and all steps that were tried."""
+    """Return the models with one addition after another, from the first model on, and all steps that were tried."""
     now, taken, steps = start, [], []
     periods: dict[str, float] = {}
     refused: set[tuple[str, tuple[str, ...]]] = set()
@@ -348,7 +348,7 @@ def _additions(
 
 
 _MAX_ECCENTRICITY_RAD = 5e-3
-"""Amplitude of a joint's error once a turn: an encoder disc of 20 mm radius 0.1 mm off its axis; more is another effect."""
+"""Largest plausible amplitude of a joint's error with one period a turn: an encoder disc of 20 mm radius 0.1 mm off its axis."""
 
 
 def describe_implausible(steps: Sequence[SelectionStep]) -> tuple[str, ...]:
@@ -368,7 +368,7 @@ def describe_implausible(steps: Sequence[SelectionStep]) -> tuple[str, ...]:
 
 
 def find_implausible_law(fitted: GeometryFit) -> str:
-    """Return the joint that rises against its load, or turns off its axis further than machines do; empty where none does."""
+    """Return a phrase on the first negative compliance or implausibly large eccentricity; an empty string otherwise."""
     laws = [p for p in fitted.parameters if p.stderr is not None]
     yielding = [replace(p, lower=0.0, upper=np.inf) for p in laws if p.name.endswith("_compliance")]
     turning = [
@@ -397,7 +397,7 @@ def fit_models(
 
 
 def _searched_periods(family: Family, spec: Spec, poses: PoseSet, options: Options) -> dict[str, float]:
-    """Return starting periods of the cyclic errors that a model asks for, from the residuals of the model without them."""
+    """Return starting periods of the cyclic errors of a model, from the residuals of the model without them."""
     joints = spec.additions.get("periodic", ())
     if not joints:
         return {}

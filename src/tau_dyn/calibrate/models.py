@@ -1,6 +1,6 @@
-r"""The models that a mechanism offers: a structure (which dimensions move together) and additions (what drives do besides).
+r"""Models of a mechanism: a structure (which dimensions move together) and additions (other effects, such as those of drives).
 
-Structures of a parallel robot of points and distances, each where it means something else than the ones before:
+Structures of a parallel robot of points and distances; one that is equal to an earlier one is left out:
 
     frames       the robot file's dimensions; only the device's frame and the target's place are fitted
     ideal        one length, one cart point an arm; guideways in one common direction (thesis (5.2): 15 parameters)
@@ -10,7 +10,7 @@ Structures of a parallel robot of points and distances, each where it means some
     paths        complete, and every rod's end on its own straight path (model 3 of thesis 5.3)
 
 Additions: `periodic` (cyclic errors of the drives; `periodic2` a second one of another period), `piecewise` (crooked
-guideways), `compliant` (carts and drives on guideways yield), `elastic` (drives yield), `backlash`, and between campaigns
+guideways), `compliant` (elastic carts and drives on guideways), `elastic` (elastic drives), `backlash`, and between campaigns
 `base_frame` (the device or the robot was moved) and `tool_frame` (the target was). Those of a tree are `coupling`, `gravity`,
 `elastic` and `eccentric` (`laws/`). A model is written `complete+periodic+compliant`; an addition may name joints:
 `nonparallel+periodic:cart2,cart3`, the per-arm mix of thesis 5.3 (model 5). `coupling:j3/j2` adds a share of j2 to j3,
@@ -47,7 +47,7 @@ from tau_dyn.mechanism import NotRods, Poses, Rods, build_rods
 from tau_dyn.robot import Robot
 
 _KNOTS = 9  # along a guideway: waves of a quarter of the travel still have a shape
-_PERIOD = 0.1  # [m]: where a search has nothing better to start from
+_PERIOD = 0.1  # [m]: default start of a search
 
 
 class RodFamily(Family):
@@ -72,9 +72,9 @@ class RodFamily(Family):
         return RodGeometry(self.rods)
 
     def places(self, addition: str) -> tuple[str, ...]:
-        """Return the joints on guideways, for what guideways and their drives do; drives that yield.
+        """Return the joints on guideways for the effects of guideways and their drives, and the elastic drives.
 
-        Without known loads a drive on a guideway yields together with its cart, as `compliant`.
+        Without known loads a drive on a guideway is elastic together with its cart, as `compliant`.
         """
         if addition == "elastic":
             alone = self.joints if self.poses.loads.any() else tuple(j for j in self.joints if j not in self.rails)
@@ -168,7 +168,7 @@ class RodFamily(Family):
         return constrain_parameters(base, together | lengths, left_out)
 
     def _superfluous(self, structure: str) -> list[str]:
-        """Return parameters that others say already: a slide's place where its rods are free, a turn's on a slide."""
+        """Return redundant parameters: the place of a slide whose rods are free, the place of a rotary joint on a slide."""
         joints = self.rods.numbers.joints
         if self.rods.numbers.arms:
             return []

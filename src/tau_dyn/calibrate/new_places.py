@@ -1,7 +1,7 @@
-"""Held-out distances and touches at places that no training pose shows: a hole that was not used, a wire's end moved elsewhere.
+"""Held-out distances and touches at places without training poses: a hole that was not used, a wire's end that was moved.
 
-Such a place is fitted to its own held-out rows, at the calibrated dimensions and target. Each row is judged by the place of the
-others, `(I - H_ii)^-1 r_i`, with `H` the hat matrix of the place. Reference: Belsley, Kuh & Welsch 1980 (leverage).
+Such a place is fitted to its own held-out rows, at the calibrated dimensions and target. Each row is tested at the place fitted
+to the others, `(I - H_ii)^-1 r_i`, with `H` the hat matrix of the place. Reference: Belsley, Kuh & Welsch 1980 (leverage).
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ class NewPlace(NamedTuple):
     """A place fitted to its own rows.
 
     Attributes:
-        own: Which poses show it (N,).
-        poses: Those (n), as of the one device in `frames`.
-        frames: The place, and all targets.
-        residuals: Of each row (n, 3) [m], predicted by the others.
-        slope: Derivative (n, 3, r) by the numbers of the place that its rows show, orthonormal over the rows that place it.
-        kept: Which rows place it (n,).
+        own: Which poses were measured at the place (N,).
+        poses: Those poses (n), with the one device in `frames`.
+        frames: Frame of the place, and all targets.
+        residuals: Residual of each row (n, 3) [m], predicted by the others.
+        slope: Derivative (n, 3, r) by the components of the place that its rows determine, orthonormal over the fitted rows.
+        kept: Rows to which the place is fitted (n,).
     """
 
     own: np.ndarray
@@ -42,7 +42,7 @@ class NewPlace(NamedTuple):
     kept: np.ndarray
 
     def remove(self, columns: np.ndarray) -> np.ndarray:
-        """Return derivatives (n, 3, p) of the rows without what a change of the place explains."""
+        """Return derivatives (n, 3, p) of the rows without the part that a change of the place explains."""
         return columns - np.einsum("nir,mjr,mjp->nip", self.slope, self.slope[self.kept], columns[self.kept])
 
 
@@ -52,7 +52,7 @@ def find_new_places(poses: PoseSet, base: Poses, known: int, frames: DeviceFrame
     Args:
         poses: Held-out poses (N).
         base: Predicted tool poses there (N) in the robot's base frame.
-        known: Number of devices that the training poses show.
+        known: Number of devices with training poses.
         frames: Fitted frames; their targets count.
         noise: Standard error of a measured coordinate [m].
 
@@ -96,7 +96,7 @@ def _find_place(poses: PoseSet, base: Poses, own: np.ndarray, frames: DeviceFram
 def _place_robustly(
     poses: PoseSet, base: Poses, ok: np.ndarray, shown: int, targets: tuple[Frame, ...], noise: float
 ) -> tuple[DeviceFrames, np.ndarray, np.ndarray, np.ndarray] | None:
-    """Return the place by the rows that agree, what `_leave_out_each` finds, and these rows; None where too few agree."""
+    """Return the place fitted to the rows that agree, the result of `_leave_out_each`, and these rows; None if too few agree."""
     kept, placed = ok, None
     for robust in (noise, None, None):
         if kept.sum() * KINDS[poses.kinds[0]].numbers <= shown:
@@ -118,7 +118,7 @@ def _compute_residuals(poses: PoseSet, base: Poses, frames: DeviceFrames) -> np.
 def _leave_out_each(
     poses: PoseSet, base: Poses, kept: np.ndarray, frames: DeviceFrames
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return residuals (N, 3) of each row by the place of the others, and the slope; None where a row alone shows a number."""
+    """Return residuals (N, 3) of each row by the place of the others, and the slope; None if one row alone gives a component."""
     seen = frames.measured(base, poses.setup)
     device = frames.columns(base, seen, poses.setup)[0]
     shown = device[:, :, list(KINDS[poses.kinds[0]].axes)]

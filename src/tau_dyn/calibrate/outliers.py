@@ -1,8 +1,8 @@
 """Poses that do not belong to the others: repeated, flat, grossly wrong, or measured after the device or the target moved.
 
 Gross outliers are found with robust weights. A rigid move of the device, or of the target on the tool, is fitted to the held-out
-residuals (Gauss-Newton). It is compared with what the measurement noise and the fitted parameters' covariance let expect (Wald
-test). Its gain is that at poses left out of the fit, by their leverages.
+residuals (Gauss-Newton). It is tested against the covariance of the measurement noise and the fitted parameters (Wald test). Its
+gain is that at poses left out of the fit, by their leverages.
 References: Seber & Wild 2003, section 5.3 (Wald); Belsley, Kuh & Welsch 1980 (leverage).
 """
 
@@ -29,19 +29,19 @@ from tau_dyn.message_codes import CodedWarning
 from tau_dyn.parameters import Parameter
 
 _TIMES = 6.0
-"""How many times the distance that one good pose in a hundred has; a model that lacks something leaves tails, not this."""
+"""Multiple of the distance of one good pose in a hundred; an incomplete model gives tails, but not this far."""
 
 
 _MAX_DUPLICATE_DISTANCE = 1e-9  # [m] or [rad]: positions of joints that are one pose
 
 
 def check_spread(family: Family, poses: PoseSet) -> None:
-    """Refuse joints that stand still, and positions in a plane of a robot whose tool neither turns nor stays in a plane.
+    """Refuse joints that do not move, and positions in a plane if the robot's tool neither turns nor is restricted to a plane.
 
-    All else is for the rank to decide: a tip held in a hole shows the dimensions by its attitudes.
+    All other cases are decided by the rank: a tip held in a hole determines the dimensions by its orientations.
 
     Raises:
-        CannotAnswer: Says which.
+        CannotAnswer: No joint moves, or the positions lie in a plane that the tool should leave.
     """
     if not np.ptp(poses.configuration):
         raise CannotAnswer(
@@ -65,7 +65,7 @@ def check_spread(family: Family, poses: PoseSet) -> None:
 def drop_duplicate_poses(poses: PoseSet) -> tuple[PoseSet, tuple[str, ...]]:
     """Return the poses without those that repeat another's joints and measurement, and a warning that names them.
 
-    The same joints measured again with other noise are a repeated measurement and stay.
+    The same joints measured again with other noise are a repeated measurement and are kept.
     """
     rotation = np.zeros((poses.n, 9)) if poses.rotation is None else poses.rotation.reshape(-1, 9)
     columns = [poses.q, poses.position, rotation, poses.setup, poses.loads]
@@ -93,7 +93,7 @@ def find_outliers(fitted: GeometryFit) -> np.ndarray:
 
 
 def _find_far(distance: np.ndarray, crowd: np.ndarray, m: int | np.ndarray) -> np.ndarray:
-    """Return the indices of distances in `m` numbers (N,) that stand out of those of a crowd; nan does, too."""
+    """Return the indices of distances in `m` numbers (N,) that are far larger than those of `crowd`; nan counts as far."""
     good = np.sqrt(stats.chi2.ppf(0.99, m))
     return np.flatnonzero(~(distance < np.maximum(_TIMES * good, 5 * float(np.nanpercentile(crowd, 90)))))
 
@@ -112,7 +112,7 @@ def _name_poses(poses: PoseSet, index: np.ndarray, size: np.ndarray) -> str:
     return ", ".join(shown) + (f" and {len(index) - 5} more" if len(index) > 5 else "")
 
 
-_MAX_OUTLIER_SHARE = 0.2  # share of the poses above which they are no outliers but another situation
+_MAX_OUTLIER_SHARE = 0.2  # share of the poses above which they are not outliers but another situation
 _LOOKS_FOR_OUTLIERS = 3  # fits, each without the outliers of the one before it
 
 
@@ -156,7 +156,7 @@ def _describe_many(poses: PoseSet, many: np.ndarray) -> str:
 
 
 def leave_out_late_outliers(chosen: CandidateModel, options: Options) -> tuple[PoseSet, tuple[str, ...]]:
-    """Return the training poses without those that only a good model tells as gross outliers, and a sentence that names them."""
+    """Return the training poses without the gross outliers that only a good model identifies, and a sentence that names them."""
     first, robust = chosen.fit, replace(options, robust="biweight")
     fitted = fit_geometry(first.geometry, chosen.spec, first.poses, robust, first.state, f"the model {chosen.name}")
     bad = _keep_campaigns(first.poses, find_outliers(fitted))
@@ -172,7 +172,7 @@ def leave_out_held_outliers(fitted: GeometryFit, holdout: PoseSet, still: PoseSe
     Args:
         fitted: The chosen model.
         holdout: The poses as they were measured.
-        still: As they would have been measured without moves of the device or the target.
+        still: The poses as they would have been measured without moves of the device or the target.
     """
     errors = fitted.errors(still)
     bad = _find_held_outliers(fitted, still, errors)
@@ -189,7 +189,7 @@ def leave_out_held_outliers(fitted: GeometryFit, holdout: PoseSet, still: PoseSe
 
 
 def _find_held_outliers(fitted: GeometryFit, holdout: PoseSet, held: PoseErrors) -> np.ndarray:
-    """Return the indices of poses farther off than noise and the parameters' uncertainty let expect, by the training rule."""
+    """Return the indices of poses farther off than noise and the parameters' uncertainty explain, by the training rule."""
     train, state = fitted.errors(fitted.poses), fitted.predict(holdout)
     m = 6 if held.rotation is not None and held.oriented else 3
     spare = fitted.dof / fitted.n_numbers
@@ -211,10 +211,10 @@ def _measure_distances(
 
 
 def fit_robustly(family: Family, poses: PoseSet, options: Options, model: str | None) -> GeometryFit:
-    """Return a robust fit of the largest structure that the poses bear.
+    """Return a robust fit of the largest structure that the poses support.
 
     Raises:
-        InputError: They bear none; or CannotAnswer, as the smallest one says.
+        InputError: The poses support no structure; the error is that of the smallest one, which may also be a CannotAnswer.
     """
     robust = replace(options, robust="biweight")
     specs = [family.spec(model)] if model and model != "auto" else []
@@ -232,25 +232,25 @@ def fit_robustly(family: Family, poses: PoseSet, options: Options, model: str | 
 
 
 def _can_place_each(poses: PoseSet) -> bool:
-    """Tell whether there are campaigns, each with poses enough for a device frame of its own."""
+    """Return whether there are campaigns, each with enough poses for its own device frame."""
     own = len(poses.campaigns) > 1 and len(poses.devices) == 1
     return own and np.bincount(poses.campaign, minlength=len(poses.campaigns)).min() > _MIN_POSES
 
 
 _SIGNIFICANCE_LEVEL = 1e-3  # of the Wald test, for each campaign's device and target
 _MIN_GAIN_PERCENT = 20.0
-"""Reduction of the held-out error from which a move is said: effects that the model lacks look like small moves."""
+"""Reduction of the held-out error above which a move is reported: effects that the model lacks look like small moves."""
 _MIN_POSES = 6  # poses; with fewer, the six numbers of a frame fit noise
 _RULES = DescentRules(20, small_step=1e-6, small_gain=0.0)
-"""A turn by half a radian takes six steps; the last moves residuals by a millionth of the noise."""
+"""A rotation by half a radian takes six steps; the last moves residuals by a millionth of the noise."""
 _UNDETERMINED_RATIO = 4.0
-"""Ratio of variances from which the directions that the training poses leave open count:
+"""Ratio of variances above which a direction counts as undetermined by the training poses:
 the standard error of an axis doubles."""
 _MAX_TURN_STDERR = 0.1
-"""Standard error of a turn [rad] from which a move is not linear in the frame, so that it cannot be tested."""
+"""Standard error of a rotation [rad] above which a move is not linear in the frame, so that it cannot be tested."""
 _WEAK_RATIO = 100.0
-"""Ratio of variances from which a frame counts as weakly determined: ten standard errors of the held-out poses' own."""
-_ALIKE = 10.0  # difference of twice the log-likelihoods below which device and target are not told apart
+"""Ratio of variances above which a frame counts as weakly determined: ten standard errors of the held-out poses' own."""
+_ALIKE = 10.0  # difference of twice the log-likelihoods below which device and target cannot be distinguished
 
 
 class MovedFrame(NamedTuple):
@@ -258,14 +258,14 @@ class MovedFrame(NamedTuple):
 
     Attributes:
         owner: `device` or `target`.
-        other: The other one where poses do not tell the two apart, else ''.
-        where: The poses, in words.
+        other: The other one if poses do not distinguish the two, else ''.
+        where: Description of the poses.
         move: Translation [m] and rotation vector [rad] with standard errors: of the robot's base in the device's axes, or of the
             target in the tool frame.
-        gain: On held-out poses.
-        own: Which held-out poses it is about (N,).
-        before: Where the device or the target was when the training poses were measured.
-        after: Where it was later.
+        gain: Gain on held-out poses.
+        own: Which held-out poses are affected (N,).
+        before: Frame of the device or the target when the training poses were measured.
+        after: Its frame when the held-out poses were measured.
     """
 
     owner: str
@@ -292,7 +292,7 @@ class MovedFrame(NamedTuple):
         return replace(poses, position=position, rotation=rotation)
 
     def describe(self) -> str:
-        """Return it as a sentence with its remedy."""
+        """Return a sentence that describes the move and its remedy."""
         shift, turn = (1e3 * np.linalg.norm([p.value for p in part]) for part in (self.move[:3], self.move[3:]))
         who = f"the {self.owner}" + (f" or the {self.other}" if self.other else "")
         rms = [f"{1e3 * x:.3g} mm" for x in (self.gain.rms_after, self.gain.rms_before)]
@@ -315,15 +315,15 @@ class _Fit(NamedTuple):
     columns: np.ndarray  # whitened, (N, m, p)
     residuals: np.ndarray  # whitened, (N, m)
     move: np.ndarray
-    cov: np.ndarray  # with what the training poses do not determine
+    cov: np.ndarray  # includes directions that the training poses do not determine
     determined: np.ndarray  # covariance without it
     own: np.ndarray  # covariance by the noise of the held-out poses alone
 
 
 def find_moved_frames(fitted: GeometryFit, holdout: PoseSet) -> tuple[list[MovedFrame], tuple[str, ...]]:
-    """Return for each campaign and target of the held-out poses the move that they ask for, and sentences.
+    """Return the significant move of each campaign and target of the held-out poses, and sentences.
 
-    A sentence names the directions along which the training poses do not determine a frame, where held-out poses are off.
+    A sentence names the directions along which the training poses do not determine a frame, if held-out poses are off.
     """
     found, said, state = [], [], fitted.predict(holdout)
     known = holdout.device < len(fitted.poses.devices)
@@ -348,9 +348,9 @@ def find_moved_frames(fitted: GeometryFit, holdout: PoseSet) -> tuple[list[Moved
 def _find_move(
     fitted: GeometryFit, holdout: PoseSet, own: np.ndarray, base: Poses, where: str
 ) -> MovedFrame | str | None:
-    """Return the move of the device or the target of one set-up, the likelier one; None where neither is significant.
+    """Return the move of the device or the target of one set-up, the likelier one; None if neither is significant.
 
-    A sentence instead where the training poses do not determine the frame well enough to compare it.
+    A sentence is returned instead if the training poses do not determine the frame well enough to compare it.
     """
     poses = holdout.take(own)
     both = zip((fitted.frames.device, fitted.frames.tool), poses.setup[0], strict=True)
@@ -416,7 +416,7 @@ class _MoveProblem:
 
     @property
     def free(self) -> int:
-        """Numbers of the frame that poses can show: a target without orientation has its place alone."""
+        """Components of the frame that poses can determine: a target without orientation has only its position."""
         return 6 if self.owner == "device" or self.sigma.shape[1] == 6 else 3
 
     def columns(self, frames: DeviceFrames) -> np.ndarray:
@@ -441,14 +441,14 @@ class _MoveProblem:
         return state.moved(*((whole, np.zeros(6)) if self.owner == "device" else (np.zeros(6), whole)))
 
     def gain(self, state: DeviceFrames, trial: DeviceFrames) -> float:
-        """Return by how much the sum of squares falls."""
+        """Return the decrease of the sum of squares."""
         return float(np.sum(self.residuals(state) ** 2) - np.sum(self.residuals(trial) ** 2))
 
 
 def _fit_move(
     owner: str, start: DeviceFrames, fitted: GeometryFit, poses: PoseSet, base: Poses, sigma: np.ndarray
 ) -> _Fit:
-    """Return the move of one frame that leaves least, with the covariance that noise and the fitted parameters give it."""
+    """Return the least-squares move of one frame, with the covariance from noise and the fitted parameters."""
     problem = _MoveProblem(owner, poses, base, sigma)
     frames = descend(problem, start, _RULES).state
     residuals, columns, free = problem.residuals(frames), problem.columns(frames), problem.free

@@ -1,4 +1,4 @@
-"""What a calibration answers: models with their errors, the chosen one's parameters, causes; also as the contract's JSON."""
+"""Result of a calibration: models with their errors, the chosen model's parameters, causes; also as JSON of the contract."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ class Calibration(Shown):
 
     Attributes:
         robot: The robot.
-        poses: Poses that were fitted, outliers and held-out ones left out.
-        holdout: Poses used for nothing else, None where errors are cross-validated.
-        split: How they came about: `given`, `split` or `cross-validated`.
+        poses: Fitted poses, without outliers and held-out poses.
+        holdout: Poses used only for the final errors, None if errors are cross-validated.
+        split: Origin of the held-out poses: `given`, `split` or `cross-validated`.
         models: The ladder, smallest first; the last one is the chosen one, the first has the robot file's dimensions.
         steps: All steps that were tried.
         findings: Causes, costliest first; then rejected candidates and moves.
         warnings: Sentences.
-        seed: Of folds and bootstrap.
-        measured: How exact the measured poses are, known from outside the fit.
+        seed: Seed of folds and bootstrap.
+        measured: Accuracy of the measured poses, known independently of the fit.
     """
 
     robot: Robot
@@ -58,7 +58,7 @@ class Calibration(Shown):
 
     @property
     def misses_poses(self) -> bool:
-        """Whether the held-out error is so large that units, joints or frames are wrong, or the robot is another one."""
+        """Whether the held-out error is so large that units, joints or frames are wrong, or the robot is a different one."""
         errors = self.errors(self.chosen)
         turned = errors.orientation_size
         near = errors.position_size.rms < _MAX_RELATIVE_ERROR * self.fit.spread
@@ -79,13 +79,13 @@ class Calibration(Shown):
         return model.unseen if self.holdout is None else model.fit.errors(self.holdout)
 
     def at(self) -> PoseSet:
-        """Return the poses at which unseen errors stand."""
+        """Return the poses at which unseen errors are evaluated."""
         return self.poses if self.holdout is None else self.holdout
 
     def predicted_error(self) -> float | None:
-        """Return the rms position error [m] that the measurement noise and the parameters' uncertainty let expect.
+        """Return the rms position error [m] expected from the measurement noise and the parameters' uncertainty.
 
-        None where nothing outside the fit tells the measurement noise.
+        None if the measurement noise is not known independently of the fit, or if only encoders were measured.
         """
         if self.measured.position is None:
             return None
@@ -101,7 +101,7 @@ class Calibration(Shown):
         return float(np.sqrt(np.nanmean(model**2) + noise))
 
     def parameter_rows(self) -> list[dict[str, object]]:
-        """Return the chosen model's free unknowns with uncertainty, as the contract spells parameters."""
+        """Return the chosen model's free unknowns with uncertainty, in the contract's format."""
         return build_parameter_rows(self.fit)
 
     def plot(self) -> Figure:
@@ -141,9 +141,9 @@ class Calibration(Shown):
         return to_plain(told)
 
     def locate_errors(self, model: CandidateModel) -> tuple[np.ndarray, np.ndarray]:
-        """Return where unseen errors stand and a model's errors there, (N, 3) each [m] in the robot's base frame.
+        """Return the points of unseen errors and a model's errors there, (N, 3) each [m] in the robot's base frame.
 
-        Of a distance or a touch, where the target was is known from the chosen model alone. Errors of encoders are nan.
+        The target's point in a distance or touch measurement is that of the chosen model. Errors of encoders are nan.
         """
         at, fitted = self.at(), self.fit
         base = fitted.predict(at).base
@@ -154,14 +154,14 @@ class Calibration(Shown):
         measured = np.einsum("nji,nj->ni", turn, known.position - shift)
         predicted = base.position + np.einsum("nij,nj->ni", base.rotation, arm)
         error = np.where(at.of_encoders[:, None], np.nan, self.errors(model).position)
-        from_camera = -np.einsum("nij,nj->ni", turn @ base.rotation @ target_turn, error)  # off the other way
+        from_camera = -np.einsum("nij,nj->ni", turn @ base.rotation @ target_turn, error)  # the opposite sign
         error = np.where(at.from_tool[:, None], from_camera, error)
         return np.where(sees[:, None], measured, predicted), np.einsum("nji,nj->ni", turn, error)
 
     def _errors_at_poses(self) -> dict[str, object]:
-        """Return where unseen errors stand and every model's errors there [m], in the robot's base frame: what a viewer draws.
+        """Return the points of unseen errors and every model's errors there [m], in the robot's base frame, for a viewer.
 
-        Errors of encoders stand nowhere.
+        Errors of encoders are left out.
         """
         of_tool = ~self.at().of_encoders
         models = {m.name: self.locate_errors(m)[1][of_tool] for m in self.models}
@@ -217,7 +217,7 @@ def build_parameter_rows(fitted: GeometryFit) -> list[dict[str, object]]:
 
 
 def list_weak_parameters(fitted: GeometryFit) -> list[str]:
-    """Return identifiable parameters that these poses hold no better than the robot file's tolerance does."""
+    """Return identifiable parameters that these poses determine no better than the robot file's tolerance."""
     scale = dict(zip(fitted.unknowns.names, fitted.unknowns.scales.tolist(), strict=True))
     frame = ("device", "tool")
     return [
@@ -228,7 +228,7 @@ def list_weak_parameters(fitted: GeometryFit) -> list[str]:
 
 
 def list_correlated_pairs(fitted: GeometryFit) -> list[dict[str, object]]:
-    """Return pairs of parameters that the poses see almost only together, closest first."""
+    """Return pairs of highly correlated parameters, highest correlation first."""
     c = np.triu(fitted.correlation, 1)
     names = fitted.identifiability.names
     pairs = np.argwhere(np.abs(c) > _MIN_NAMED_CORRELATION)
@@ -240,9 +240,9 @@ def list_correlated_pairs(fitted: GeometryFit) -> list[dict[str, object]]:
 
 
 def build_frame_rows(fitted: GeometryFit) -> list[dict[str, object]]:
-    """Return device and target as translation [m] and unit quaternion `x y z w`; of a distance or a ball also its length [m].
+    """Return device and target as translation [m] and unit quaternion `x y z w`, for a distance or a ball also its length [m].
 
-    An encoder has neither, but a zero [rad or m].
+    An encoder has no frame, but a zero [rad or m].
     """
     rows, targets, devices = [], fitted.poses.targets, fitted.poses.devices
     each = len(fitted.poses.campaigns) if len(devices) > 1 else len(fitted.frames.device)
@@ -268,8 +268,8 @@ def build_frame_rows(fitted: GeometryFit) -> list[dict[str, object]]:
 def build_device_rows(found: Calibration) -> list[dict[str, Any]]:
     """Return name, kind, number of fitted measurements, estimated standard error and its unit of each device or fixture.
 
-    Places that the held-out measurements alone show have no standard error. Of an encoder of an angle it is in rad, and
-    `arc_radius` [m] is the radius at which its errors count as arcs.
+    Places that only held-out measurements show have no standard error. The standard error of an angle encoder is in rad, and
+    `arc_radius` [m] is the radius at which its errors are converted to arcs.
     """
     fitted, known = found.fit, found.at()
     poses, errors = fitted.poses, fitted.poses.device_errors or (1.0,) * len(fitted.poses.devices)

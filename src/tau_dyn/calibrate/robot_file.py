@@ -1,9 +1,9 @@
-"""Calibrated dimensions back in the robot file, so that every program that reads it uses them; comments are lost, all else stays.
+"""Writes calibrated dimensions to the robot file, for every program that reads it; comments are lost, all else is unchanged.
 
-Of a tree an offset becomes part of its joint's placement, `R exp([r]x) exp(offset axis)` for a turn, a shift along the axis for
-a slide. Encoders keep counting alike. Of a robot of rods a guideway gets its axis, a turn its orientation, a rod its length at
-its ball, and its ends at the joint that it hangs on and at the point that it is tied to. A slide's travel per reading is
-`<tau_dyn:drive joint="" scale=""/>` (`Robot.drive_scale`). What a file cannot say is refused.
+In a tree an offset becomes part of its joint's placement, `R exp([r]x) exp(offset axis)` for a rotary joint, a shift along the
+axis for a slide. The sign and scale of the encoders do not change. In a robot with rods a guideway gets its axis, a rotary joint
+its orientation, and a rod its length at its ball, its ends at the carrying joint and at the point of attachment. A slide's travel
+per reading is `<tau_dyn:drive joint="" scale=""/>` (`Robot.drive_scale`). Parameters that a file cannot hold are refused.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def _write_joint(file: _RobotFile, before: ChainJoint, after: ChainJoint) -> Non
 
 
 def _lengthen(rods: Rods, new: RodDimensions, k: int, tip: np.ndarray) -> np.ndarray:
-    """Return by how much a rod's ball moves (3,) [m] in the frame of its joint, where it sits at `tip`: along rod or slide."""
+    """Return the shift of a rod's ball (3,) [m] from `tip` in the frame of its joint, along the rod or the slide."""
     old, model = rods.numbers, rods.robot.model
     if old.slides[k] < 0:
         return tip * (new.lengths[k] / old.lengths[k] - 1)
@@ -140,7 +140,7 @@ class _RobotFile:
         self.points = [end for pair in self.balls for end in pair]
 
     def find_link(self, link: str) -> pin.SE3:
-        """Return where a link sits in the frame of the joint that carries it."""
+        """Return the placement of a link in the frame of its joint."""
         model = self.robot.model
         return model.frames[model.getFrameId(link, pin.FrameType.BODY)].placement
 

@@ -3,7 +3,7 @@
 Gaps and their derivatives are those of `mechanism`, at other dimensions and with displaced ends A. Parameters are those of the
 mechanism, except that a turning joint has, instead of an axis of free length, the orientation of its frame:
 `<joint>.turn_x/y/z`, a rotation vector after the nominal orientation, in the frame's own axes. So a joint's axis and its zero are
-both free, its gear is not, and no quaternion has to be kept at norm 1 (thesis 5.4 left its four numbers free). Every law adds
+both free, its gear ratio is not, and no quaternion must be kept at norm 1 (thesis 5.4 left its four numbers free). Every law adds
 its own. The tool's frame on the plate is part of the target's (`tool.x` ..), since plate points are free.
 """
 
@@ -72,7 +72,7 @@ class RodGeometry(Geometry):
 
     Attributes:
         rods: The nominal robot.
-        laws: What drives and guideways do besides.
+        laws: Laws of drives and guideways.
     """
 
     rods: Rods
@@ -119,7 +119,7 @@ class RodGeometry(Geometry):
         return {} if self.rods.numbers.arms else {k: j for k, j in enumerate(self.rods.numbers.joints) if not j.slides}
 
     def under(self, loads: np.ndarray) -> Geometry:
-        """Return the geometry under loads at the tool (N, 7), which its carts yield to."""
+        """Return the geometry under loads at the tool (N, 7), which deflect its carts."""
         laws = tuple(replace(law, at_tool=loads) if isinstance(law, CartComplianceLaw) else law for law in self.laws)
         return replace(self, laws=laws) if loads.any() and self.laws else self
 
@@ -187,7 +187,7 @@ class RodGeometry(Geometry):
         return replace(self.rods, numbers=numbers, lengths=numbers.lengths, on_plate=numbers.on_plate)
 
     def _at(self, theta: np.ndarray, q: np.ndarray) -> _PlacedRods:
-        """Return the legs at some positions, all that laws do evaluated once."""
+        """Return the legs at some positions, with all laws evaluated once."""
         theta, numbers = np.asarray(theta, float), self.numbers(theta)
         ends = np.cumsum([len(self.rods.geometry), *(len(law.parameters) for law in self.laws)])
         moved = displace(self.laws, np.split(theta, ends)[1:-1], np.asarray(q, float), self.rods.n)

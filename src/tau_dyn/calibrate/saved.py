@@ -3,12 +3,12 @@
     save_calibration("l1_calibrated.yaml", found)
     robot = load_calibration("l1_calibrated.yaml")
     robot.forward(q).poses          # in the robot's base frame
-    robot.rods                      # for fk, ik, Jacobians of `mechanism`, without what carts and drives do besides
+    robot.rods                      # for fk, ik, Jacobians of `mechanism`, without effects of carts and drives
 
     save_compensation(compensation, "delta_compensation.yaml")
     q_corrected = load_compensation("delta_compensation.yaml")(q).q
 
-Parameters are listed with the nominal and the calibrated value, so that a person can read what was corrected.
+Parameters are listed with the nominal and the calibrated value, so that a reader sees the corrections.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ class CalibratedRobot:
     """A robot with its calibrated geometry.
 
     Attributes:
-        robot: The robot as its file has it.
+        robot: The robot as in its file.
         geometry: The calibrated model.
         theta: Its parameters (p,).
-        frames: Device and target.
+        frames: Frames of device and target.
         slack: Backlash of the actuated joints (na,) [m or rad].
         model: The model's name.
-        stderr: Standard errors of its parameters by name, of those that were estimated.
+        stderr: Standard errors of the estimated parameters by name.
     """
 
     robot: Robot
@@ -67,15 +67,15 @@ class CalibratedRobot:
         return self.geometry.forward(self.theta, q, start)
 
     def seen(self, q: np.ndarray) -> Poses:
-        """Return what the measuring device should see at `q` (N, na), first campaign."""
+        """Return the predicted measurement of the device at `q` (N, na), first campaign."""
         return self.frames.measured(self.forward(q).poses, np.zeros(len(q), int))
 
     def build_robot(self, source: str = "") -> Robot:
-        """Return a robot whose file has the calibrated dimensions and the drives' springs; `source` is how messages call it.
+        """Return a robot whose file has the calibrated dimensions and the drives' springs; `source` is its name in messages.
 
         Raises:
-            InputError: What a robot file cannot say: laws of joints, gear ratios of turns, sides of a triangle of rods, a load
-                at the tool that nobody knows.
+            InputError: A robot file cannot hold the parameters: laws of joints, gear ratios of rotary joints, sides of a triangle
+                of rods, an unknown load at the tool.
         """
         source = source or self.robot.source
         geometry, (theta,) = expand_constraints(self.geometry, self.theta)
@@ -126,7 +126,7 @@ def save_calibration(path: str | Path, found: Calibration) -> None:
     """Write the chosen model of a calibration.
 
     Raises:
-        InputError: A place that cannot be written.
+        InputError: The file cannot be written.
     """
     robot, fitted = found.robot, found.fit
     spec = found.chosen.spec
@@ -226,7 +226,7 @@ def save_compensation(compensation: Compensation, path: str | Path) -> None:
     """Write a compensation; the file appears whole or not at all.
 
     Raises:
-        InputError: A geometry that cannot be told in words, or a place that cannot be written.
+        InputError: The geometry cannot be written as text, or the file cannot be written.
     """
     description = compensation.geometry.description
     if description is None:

@@ -1,4 +1,4 @@
-"""Poses as a measuring device would see them of a robot whose dimensions are known: for tests, studies and dry runs."""
+"""Simulated measurements of a robot with known dimensions: for tests, studies and dry runs."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ def simulate_poses(
         frames: Device and target.
         noise: Standard deviations of position [m] and orientation [rad], each axis.
         turned: Whether the device measures orientation.
-        backlash: Of the actuated joints (na,) [m or rad].
+        backlash: Backlash of the actuated joints (na,) [m or rad].
         campaign: Campaign of each pose (N,).
         target: Target of each pose (N,); without it the campaign's.
-        device: Device of each pose (N,), whose kinds and lengths stand in the frames; then there is one campaign. What touches
-            must be reached at `q`.
-        loads: At the tool (N, 7) as in `PoseSet`; none unless given.
+        device: Device of each pose (N,), with its kind and length in `frames`; then there is one campaign. The robot must
+            reach a touched fixture at `q`.
+        loads: Loads at the tool (N, 7) as in `PoseSet`; no load by default.
         source: Name, for messages.
     """
     campaign = np.zeros(len(q), int) if campaign is None else campaign

@@ -2,7 +2,7 @@
 
 Positions and orientations: Umeyama 1991; orientations of several campaigns: Shah 2013. Distances from a point, and a ball: the
 differences of `|p + t|^2 = (d + c)^2` are linear in `t` and `c` (trilateration), and a few Gauss-Newton steps follow. A hole is
-where the tool was on average, a plane the best one through the tool's positions.
+at the tool's mean position, a plane is the best one through the tool's positions.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import Poses
 
 _ALTERNATIONS = 20
-"""Fits of the device's frame and of the targets' places in turn; what is left to go shrinks by half or more each."""
+"""Number of alternating fits of the device's frame and of the targets' places; each halves the remaining change or more."""
 _MAX_EVALUATIONS = 60
 """Evaluations for each unknown of a descent to a start; a smooth one takes about ten."""
 _MAX_TARGET_M = 0.1
-"""Distance of a target from the tool frame [m] that counts as much as one residual of a start: it decides along directions that
-hardly show, on a plate that hardly turns."""
+"""Distance of a target from the tool frame [m] that counts as much as one residual of a start: it determines directions that
+the poses hardly determine, on a plate that hardly turns."""
 _MIRROR_GAIN = 5.0
-"""By how much better a mirrored device frame must fit before it is called wrong-handed."""
+"""Factor by which a mirrored device frame must fit better before the device is reported as left-handed."""
 
 
 def estimate_initial_frames(poses: PoseSet, nominal: Predicted, *, tool: bool = True) -> DeviceFrames:
-    """Return the device's frame in which the nominal robot's tool comes nearest to the measured poses.
+    """Return the device's frame in which the nominal robot's tool is nearest to the measured poses.
 
     Args:
-        poses: What was measured.
+        poses: Measured poses.
         nominal: Tool poses of the nominal robot (N).
         tool: Whether the target may be anywhere on a tool that turns.
 
@@ -76,13 +76,13 @@ def estimate_initial_frames(poses: PoseSet, nominal: Predicted, *, tool: bool = 
 def place_alone(
     poses: PoseSet, known: Predicted, targets: tuple[Frame, ...], noise: float | None = None
 ) -> DeviceFrames:
-    """Return the place of the one device of poses (N) that comes nearest to known tool poses (N), with targets that are known.
+    """Return the place of the one device of poses (N) at which its measurements best match known tool poses (N) and targets.
 
     Args:
-        poses: What the device measured.
+        poses: Measurements of the device.
         known: Tool poses in the robot's base frame.
-        targets: Where the targets are on the tool.
-        noise: Standard error of a measurement [m], beyond which a residual counts by its size alone; squares unless given.
+        targets: Placements of the targets on the tool.
+        noise: Standard error of a measurement [m], beyond which a residual counts linearly; by default all residuals are squared.
     """
     position = known.poses.position + np.einsum(
         "nij,nj->ni", known.poses.rotation, DeviceFrames(tool=targets).of_each(poses.setup)[3]
@@ -115,9 +115,9 @@ def _place_points(poses: PoseSet, base: Poses, frames: DeviceFrames) -> DeviceFr
 def _settle(
     poses: PoseSet, base: Poses, frames: DeviceFrames, *, tool: bool, noise: float | None = None
 ) -> tuple[DeviceFrames, float]:
-    """Return the frames after a descent at known tool poses, and the sum of squares that is left [m^2].
+    """Return the frames after a descent at known tool poses, and the residual sum of squares [m^2].
 
-    With a noise, residuals far beyond it count by their size (pseudo-Huber loss).
+    With a noise, residuals far beyond it count linearly (pseudo-Huber loss).
     """
     shown = [6 * k + axis for k, kind in enumerate(frames.kinds) for axis in KINDS[kind].axes]
     n, places = len(shown), [6 * k + axis for k in range(len(frames.tool) if tool else 0) for axis in range(3)]
@@ -153,7 +153,7 @@ def _settle(
 
 
 def _place_device(poses: PoseSet, nominal: Predicted, own: np.ndarray, kind: str) -> DeviceFrames:
-    """Return the frame of one device or fixture by its own poses (N,); with targets where it sees poses."""
+    """Return the frame of one device or fixture by its own poses (N,); with targets if it measures poses."""
     known = nominal.poses.position[own]
     if len(known) < 3:
         return DeviceFrames((IDENTITY,), ())
@@ -222,13 +222,13 @@ def _align_poses(poses: PoseSet, nominal: Predicted) -> DeviceFrames:
 
 
 _NEAREST = 1e-3
-"""Weight of the common orientation in a campaign's own, relative to its poses: it decides what poses in a line leave open."""
+"""Weight of the common orientation in a campaign's own, relative to its poses: it fixes the free angle of poses in a line."""
 
 
 def estimate_campaign_frames(
     poses: PoseSet, base: Poses, ok: np.ndarray, frames: DeviceFrames, *, turned: bool, tool: bool
 ) -> DeviceFrames:
-    """Return frames with the device of each campaign at its own poses, where they fit better so than the given ones.
+    """Return frames with the device of each campaign fitted to its own poses, if they fit better than the given ones.
 
     Orientations give the rotations by themselves, so that a campaign that turns one joint is placed by the target of the others.
 
@@ -254,7 +254,7 @@ def estimate_campaign_frames(
 
 
 def _turn_frames(poses: PoseSet, base: Poses, frames: DeviceFrames, *, tool: bool) -> DeviceFrames:
-    """Return frames with the rotations that measured orientations `R_m = R_D R R_T` ask for: the better of two starts.
+    """Return frames with rotations fitted to measured orientations `R_m = R_D R R_T`: the better of two starts.
 
     One start keeps the given targets. The other solves `R_D' R_m = R R_T` as linear equations of all entries (Shah 2013).
     """
@@ -313,7 +313,7 @@ def _average(rotations: np.ndarray, number: np.ndarray, frames: tuple[Frame, ...
 
 
 def _shift_frames(poses: PoseSet, base: Poses, frames: DeviceFrames, *, tool: bool) -> DeviceFrames:
-    """Return frames with the translations of least squares, the shortest where the poses leave them open."""
+    """Return frames with the translations of least squares, the shortest if the poses do not determine them."""
     rd, _, _, tt = frames.of_each(poses.setup)
     n_device, n_tool = len(frames.device), len(frames.tool)
     device, target = split_setup(poses.setup)
@@ -341,7 +341,7 @@ def _align_devices(poses: PoseSet, base: Poses, frames: DeviceFrames) -> DeviceF
 
 
 def _align_near(seen: np.ndarray, known: np.ndarray, rotation: np.ndarray) -> Frame:
-    """Return the frame that best takes `known` points (N, 3) to `seen` ones, near a rotation where they leave it open."""
+    """Return the frame that best takes `known` points (N, 3) to `seen` ones, near a rotation if they do not determine it."""
     a, b = seen.mean(axis=0), known.mean(axis=0)
     u, s, vt = np.linalg.svd((seen - a).T @ (known - b))
     u, _, vt = np.linalg.svd((u * s) @ vt + _NEAREST * s[0] * rotation)
@@ -355,7 +355,7 @@ def _each(poses: PoseSet) -> range:
 
 
 def _mean_of(rotations: np.ndarray) -> np.ndarray:
-    """Return the mean rotation (3, 3), none where there are no rotations."""
+    """Return the mean rotation (3, 3), the identity if there are no rotations."""
     return compute_mean_rotation(rotations) if len(rotations) else np.eye(3)
 
 
@@ -376,7 +376,7 @@ def align_with_targets(poses: PoseSet, nominal: Poses) -> tuple[Frame, np.ndarra
 
 
 def _from_orientation(poses: PoseSet, nominal: Predicted) -> DeviceFrames:
-    """Return frames from orientations where positions lie in a plane: the target taken as turned like the tool."""
+    """Return frames from orientations where positions lie in a plane: the target is assumed to have the tool's orientation."""
     assert poses.rotation is not None
     ok = nominal.ok
     rotation = compute_mean_rotation(poses.rotation[ok] @ np.swapaxes(nominal.poses.rotation[ok], 1, 2))

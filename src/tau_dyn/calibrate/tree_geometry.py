@@ -1,8 +1,8 @@
 """Any robot file as a geometry for calibration: joint placements, offsets, rod lengths and loop points are the parameters.
 
-A serial arm, a tree with ball constraints (Delta, H4, Stewart) or a planar linkage, as `mechanism` closes and derives it at any
-dimensions. Of planar loops only what lies in the plane can be closed; what does not stays open, as in the clearance of real
-bearings, and `left_open` says how much.
+A serial arm, a tree with ball constraints (Delta, H4, Stewart) or a planar linkage; `mechanism` closes the loops and computes
+their derivatives at any dimensions. Planar loops are closed only in their plane; the gap out of the plane remains, as in the
+clearance of real bearings, and `left_open` returns its size.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ class TreeGeometry(Geometry):
     """A tree, with or without loops, whose placements are parameters; build it with `build_tree_geometry`.
 
     Attributes:
-        tree: The robot at any dimensions.
+        tree: The robot with variable dimensions.
         parameters: Nominal values, those of the robot file.
-        knobs: What each parameter does.
+        knobs: Dimension that each parameter changes.
     """
 
     tree: TreeDimensions
@@ -58,7 +58,7 @@ class TreeGeometry(Geometry):
 
     @property
     def shape(self) -> TreeShape:
-        """The robot taken apart."""
+        """Topology and dimensions of the robot."""
         return self.tree.shape
 
     @property
@@ -118,10 +118,10 @@ class TreeGeometry(Geometry):
         return self.tree.passive_rates(self._numbers(theta), q, knobs, self._find_passive(joints))
 
     def _find_passive(self, joints: Sequence[str]) -> list[int]:
-        """Return where joints stand among the passive ones (k,).
+        """Return the indices of joints among the passive ones (k,).
 
         Raises:
-            UnknownName: One is actuated or does not exist.
+            UnknownName: A joint is actuated or does not exist.
         """
         column = {j.v: name for j, name in zip(self.shape.joints, self.shape.names, strict=True)}
         names = [column[v] for v in self.shape.passive.tolist()]

@@ -1,10 +1,10 @@
-"""All that a fit may change, and which of it poses can tell, by rank-revealing QR on scaled columns.
+"""The unknowns of a fit, and those that poses identify, by rank-revealing QR on scaled columns.
 
 Unknowns are a geometry's parameters, the device's frame, the target's place on the tool, and backlash. A column is the whitened
-derivative of all residuals times the unknown's scale: what an error of that size would show, in units of the noise. Unknowns
-with smaller `priority` are preferred, but never at the price of a badly conditioned set; a column that those kept explain is not
-identifiable, and `depends_on` names which. Blind combinations have singular values of zero to rounding; one below 1 means that a
-combination is uncertain by more than its scale, which is no matter of structure.
+derivative of all residuals times the unknown's scale: the effect of an error of that size, in units of the noise. Unknowns with
+smaller `priority` are preferred, but not if the set becomes badly conditioned; an unknown whose column the kept columns explain
+is not identifiable, and `depends_on` names the kept ones. Unidentifiable combinations have singular values of zero to rounding;
+a value below 1 means that a combination is uncertain by more than its scale, which is not a structural rank loss.
 Reference: Besnard & Khalil 2001; Khalil, Gautier & Enguehard 1991.
 """
 
@@ -25,10 +25,10 @@ from tau_dyn.parameters import Parameter
 from tau_dyn.results import Brief
 
 STRUCTURAL = 1e-12
-"""Part of the largest singular value below which a combination is blind whatever the noise."""
+"""Share of the largest singular value below which a combination is unidentifiable at any noise."""
 
 SCALES = {"m": 0.01, "rad": 0.01, "1": 0.01, "m/N": 1e-5}
-"""By unit, the standard error beyond which a parameter is as good as unknown."""
+"""Standard error by unit, above which a parameter counts as unknown."""
 
 _LESS = 0.5
 """Weight of a level of priority, relative to the one before."""
@@ -37,7 +37,7 @@ _LAST = 10
 """Level of priority that counts as the last: a factor of a thousand in weight."""
 
 _TIE = 1e-10
-"""Weight that each column loses to the one before it: of two that say the same, rounding must not choose."""
+"""Relative decrease of the weight from each column to the next: the first of two equal columns is chosen despite rounding."""
 
 _INVOLVED = 1e-6
 """Share of the largest factor below which a parameter has no part in a dependence."""
@@ -45,16 +45,16 @@ _INVOLVED = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """What poses can tell.
+    """Identifiable and unidentifiable parameters.
 
     Attributes:
         names: All free parameters (p,).
         kept: Indices of those that are estimated (r,).
         dropped: Indices of those that stay at their nominal value (p - r,).
-        factors: How a unit change of a dropped parameter is made up for by the kept ones (r, p - r), each in its own
-            unit.
-        depends_on: For every dropped parameter, the kept ones of its dependence.
-        singular_values: Of the scaled columns (p,), largest first.
+        factors: Changes of the kept parameters that are equivalent to a unit change of a dropped one (r, p - r), each in its
+            own unit.
+        depends_on: Kept parameters on which each dropped parameter depends.
+        singular_values: Singular values of the scaled columns (p,), largest first.
     """
 
     names: tuple[str, ...]
@@ -91,14 +91,14 @@ def find_identifiable(
     priority: np.ndarray,
     least: float = 0.0,
 ) -> Identifiability:
-    """Find which parameters can be told.
+    """Find the identifiable parameters.
 
     Args:
         columns: Whitened derivatives (rows, p).
-        names: Of the parameters.
+        names: Names of the parameters.
         scales: Size of an error that matters (p,).
         priority: Those with smaller numbers are kept first (p,).
-        least: Singular value below which a combination is blind too: it is uncertain by `1 / least` of its scale.
+        least: Singular value below which a combination is also unidentifiable: its uncertainty is `1 / least` of its scale.
     """
     scaled = columns * scales
     r = np.asarray(np.linalg.qr(scaled, mode="r")) if len(scaled) > scaled.shape[1] else scaled
@@ -124,8 +124,7 @@ def _involved(factor: np.ndarray, names: list[str]) -> tuple[str, ...]:
 def _chosen(r: np.ndarray, priority: np.ndarray, rank: int) -> np.ndarray:
     """Return the columns to keep: by pivoting on unit columns, each level of priority at half the weight of the one before.
 
-    A strict order would keep a set that barely spans the rest; then the others could not be put back to their nominal
-    values.
+    A strict order would keep a badly conditioned set; then the others could not be reset to their nominal values.
     """
     norm = np.linalg.norm(r, axis=0)
     level = np.minimum(priority - priority.min(initial=0), _LAST)
@@ -143,7 +142,7 @@ DELAY = "joints.delay"
 _PRIOR_UNITS = ("m", "rad")
 _FRAMES_FIRST = -1  # priority of device and target: below that of any parameter of the robot
 _DEVICES_FIRST = -6
-"""Priority of devices where some show no poses: left where a start put it, one would hold the robot's size."""
+"""Priority of devices if some do not measure poses: fixed at its starting value, a device would fix the robot's size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,9 +151,9 @@ class Unknowns(Brief):
 
     Attributes:
         rows: One parameter for each unknown (P,), at its starting value.
-        free: Which may change (P,).
+        free: Which unknowns are free (P,).
         scales: Size of an error that matters (P,).
-        priority: Which are kept where they depend on each other (P,).
+        priority: Among dependent unknowns those with smaller numbers are kept (P,).
         n_geometry: Number of the geometry's own parameters, which come first.
         n_device: Number of the device frames' parameters, which follow.
         n_tool: Number of the target's, which follow.
@@ -177,7 +176,7 @@ class Unknowns(Brief):
 
     @property
     def plays(self) -> bool:
-        """Whether backlash is free somewhere, or the delay of the joints."""
+        """Whether the backlash of a joint, or the delay of the joints, is free."""
         return bool(self.free[self.n_geometry + self.n_frames :].any())
 
     @property
@@ -209,17 +208,17 @@ def collect(
     Args:
         geometry: The mechanism.
         frames: Starting frames.
-        fix: Names or patterns that stay.
-        free: Names or patterns that may change although they would stay.
+        fix: Names or patterns of parameters that are fixed.
+        free: Names or patterns of parameters that are free although they are fixed by default.
         device: Whether the device's frame is unknown.
         tool: Whether the target's place on the tool is unknown.
-        turned: Whether orientations were measured; without them the target's own orientation is invisible.
-        backlash: Whether backlash of the actuated joints is unknown; needs poses that tell from which side each came.
-        prior: Standard deviations of what the robot was built to: lengths [m] and perhaps angles [rad]; `SCALES` unless given.
+        turned: Whether orientations were measured; without them the target's own orientation is not identifiable.
+        backlash: Whether backlash of the actuated joints is unknown; needs poses with the side from which each was approached.
+        prior: Standard deviations of the robot's lengths [m] and perhaps angles [rad] from nominal; `SCALES` by default.
 
     Raises:
-        InputError: A standard deviation that is not above zero.
-        UnknownName: A pattern that no parameter matches.
+        InputError: A standard deviation is not above zero.
+        UnknownName: No parameter matches a pattern.
     """
     p = len(geometry.parameters)
     own, nd, nt = frames.parameters(), 6 * len(frames.device), 6 * len(frames.tool)

@@ -1,4 +1,4 @@
-"""What joints, drives and carts do beside moving as their encoders say."""
+"""Errors of joints, drives and carts: deviations of their motion from the encoder readings."""
 
 from lazy_loader import attach_stub
 

@@ -1,7 +1,7 @@
-"""A geometry whose joints do not stand where their encoders say, whatever moves them: laws of encoders, drives that yield.
+"""A geometry whose joint positions differ from the encoder readings, for any reason: laws of encoders, elastic drives.
 
-With `q_real(q, p)` the chain rule gives all derivatives: `dX/dp = dX/dq_real dq_real/dp`. So a law knows no mechanism, and a
-mechanism no law.
+With `q_real(q, p)` the chain rule gives all derivatives: `dX/dp = dX/dq_real dq_real/dp`. Laws and mechanisms are therefore
+independent of each other.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from tau_dyn.robot import Robot
 
 
 class MovedJoints(NamedTuple):
-    """Where joints are that do not stand where their encoders say.
+    """Real positions of joints that differ from the encoder readings.
 
     Attributes:
         real: Positions (N, na) [m or rad].
-        by_parameter: Their derivative by the parameters of what moves them (N, na, p).
-        by_position: Returns their derivative by what the encoders say (N, na, na).
+        by_parameter: Their derivative by the parameters of the displacement (N, na, p).
+        by_position: Returns their derivative by the encoder readings (N, na, na).
     """
 
     real: np.ndarray
@@ -34,7 +34,7 @@ class MovedJoints(NamedTuple):
 
 
 class JointDisplacement(Protocol):
-    """What moves joints beside their encoders: laws of encoders, drives that yield."""
+    """Displacement of joints from their encoder readings: laws of encoders, elastic drives."""
 
     @property
     def parameters(self) -> Parameters:
@@ -43,31 +43,31 @@ class JointDisplacement(Protocol):
 
     @property
     def known_beforehand(self) -> np.ndarray:
-        """Which parameters (p,) prior knowledge tells."""
+        """Which parameters (p,) have prior knowledge."""
         ...
 
     @property
     def beyond_file(self) -> str:
-        """What of it no robot file can hold, '' where one can hold everything."""
+        """The part of the displacement that no robot file can hold, '' if a file can hold everything."""
         ...
 
     def move(self, values: np.ndarray, q: np.ndarray, loads: np.ndarray | None) -> MovedJoints:
-        """Return where joints are at encoders' positions (N, na) under loads at the tool (N, 7) or none."""
+        """Return the real joint positions at encoder readings (N, na) under loads at the tool (N, 7), None without loads."""
         ...
 
     def list_springs(self, values: np.ndarray) -> dict[str, tuple[str, float]]:
-        """Return the parameter and the compliance of each joint that yields."""
+        """Return the parameter and the compliance of each elastic joint."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class DisplacedGeometry(Geometry):
-    """A geometry whose joints do not stand where their encoders say; see `Geometry` for what each method returns.
+    """A geometry whose joint positions differ from the encoder readings; see `Geometry` for the methods.
 
     Attributes:
-        geometry: The geometry of the joints' real positions.
-        displacement: What moves them.
-        loads: At the tool (N, 7), None without any.
+        geometry: The geometry as a function of the joints' real positions.
+        displacement: Displacement of the joints.
+        loads: Loads at the tool (N, 7), None without loads.
     """
 
     geometry: Geometry
@@ -95,14 +95,14 @@ class DisplacedGeometry(Geometry):
 
     @property
     def priority(self) -> np.ndarray:
-        """The geometry's, and one more for the displacement: what a dimension does as well stays with the dimension (p,)."""
+        """Priorities (p,): the geometry's, then a later one for the displacement; a dimension with the same effect is kept."""
         own, known = self.geometry.priority, self.displacement.known_beforehand
         last = int(own[own < KNOWN_BEFOREHAND].max(initial=0)) + 1
         return np.concatenate([own, np.where(known, KNOWN_BEFOREHAND, last)])
 
     @property
     def beyond_file(self) -> str:  # type: ignore[override]
-        """What of the displacement or the geometry no robot file can hold."""
+        """The part of the displacement or the geometry that no robot file can hold."""
         return self.displacement.beyond_file or self.geometry.beyond_file
 
     def under(self, loads: np.ndarray) -> Geometry:
@@ -158,7 +158,7 @@ class DisplacedGeometry(Geometry):
         return self.geometry.passive_by_joint(own, at.real, joints) @ at.by_position()
 
     def closure(self, theta: np.ndarray, q: np.ndarray, poses: Poses) -> Closure | None:
-        """Return how far tool poses leave the loops open."""
+        """Return the gaps of the loops at tool poses."""
         own, at = self._move(theta, q)
         found = self.geometry.closure(own, at.real, poses)
         if found is None:
@@ -176,5 +176,5 @@ class DisplacedGeometry(Geometry):
 
 
 def _append(own: np.ndarray, by_joint: np.ndarray, at: MovedJoints) -> np.ndarray:
-    """Return derivatives (N, d, p) by a geometry's own parameters, then by what displaces its joints."""
+    """Return derivatives (N, d, p) by a geometry's own parameters, then by those of the displacement."""
     return np.concatenate([own, by_joint @ at.by_parameter], axis=2)

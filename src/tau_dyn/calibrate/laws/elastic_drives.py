@@ -1,18 +1,18 @@
-r"""Drives and joints that yield to the force that they hold at rest, of any robot, with or without loops.
+r"""Elastic drives and joints under their static load, in any robot, with or without loops.
 
-A drive of compliance `c` yields by `e = c Q(q + e)`, with `Q` the generalised force of all loads by virtual work over the robot's
-own kinematics, loops kept closed: with `A_b = m_b dp_b/dq` of body b's centre of mass (`WeightArms`), `J` the tool's Jacobian,
-`m` the weight that hangs at the tool and `w` the force and moment on it,
+A drive of compliance `c` deflects by `e = c Q(q + e)`, with `Q` the generalised force of all loads by virtual work over the
+robot's kinematics with closed loops: with `A_b = m_b dp_b/dq` of body b's centre of mass (`WeightArms`), `J` the tool's Jacobian,
+`m` the mass at the tool and `w` the force and moment on it,
 
     Q = sum_b (1 + e_b) A_b' g + m J_v' g + J' w.
 
 `Q` is exact at the commanded positions and linear in `e` about them, which leaves out `c Q'' e^2 / 2`: 0.1 um of an arm that sags
 by 5 mm. So `e = (1 - c Q')^-1 c Q`, with `Q'` by central differences.
 
-Where nobody knows the load at the tool, `e = c Q + d Q_1` with `Q_1` that of 1 kg there. The file's masses are known to
-`BodyPrior.rough` only, and the base is level within the prior of all angles, as the device's frame takes its tilt `t` up:
-gravity is `g + t x g`. The shares `e_b` and `t` are unknowns with these priors. Without known loads poses determine the product
-of compliance and mass alone; known loads determine both.
+If the load at the tool is unknown, `e = c Q + d Q_1` with `Q_1` the force of 1 kg there. The file's masses are known to
+`BodyPrior.rough` only, and the base is level within the prior of all angles, because the device's frame absorbs its tilt `t`:
+gravity is `g + t x g`. The relative errors `e_b` and `t` are unknowns with these priors. Without known loads poses determine only
+the product of compliance and mass; known loads determine both.
 
 Forces are those of the robot file's dimensions. Calibrated placements would make the direction of a link's centre of mass a
 parameter: an offset and the next joint's place turn a link in its own frame without moving the tool.
@@ -37,9 +37,9 @@ from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import ROUGH_FILE, BodyPrior
 
 MAX_DEFLECTION = 0.01
-"""Deflection that a machine is taken to have before its poses are known (one standard deviation) [rad or m]."""
+"""Prior standard deviation of a machine's deflection [rad or m]."""
 _TRIED = 50
-"""Positions at which it is looked whether a joint carries a load."""
+"""Number of positions at which the load of a joint is computed."""
 _NO_FORCE = 1e-9
 """Force relative to the largest one, or to 1 N m, that is rounding."""
 _STEP = 1e-4
@@ -47,16 +47,16 @@ _STEP = 1e-4
 _REMEMBERED = 4
 """Sets of positions whose forces are kept: those of training, held-out and screened poses."""
 _TILTS = ("base.tilt_x", "base.tilt_y", "base.tilt_z")
-"""Rotation vector by which gravity is turned in the base frame [rad]; the one along gravity does nothing and is left out."""
+"""Rotation vector by which gravity is turned in the base frame [rad], without the component along gravity: it has no effect."""
 _LEVEL = 1e-6
 """Share of gravity across an axis that is rounding."""
 
 
 class Statics(NamedTuple):
-    """What loads are multiplied by at some positions; body b of the last index stands for 1 kg at the tool.
+    """Factors of the loads at given positions; the last body index is 1 kg at the tool.
 
     Attributes:
-        arms: `A_b` (N, na, b + 1, 3) [kg m] of a turn, [kg] of a slide.
+        arms: `A_b` (N, na, b + 1, 3) [kg m] of a rotary joint, [kg] of a slide.
         arm_slopes: Their derivative by the actuated positions (N, na, b + 1, na, 3).
         jacobian: The tool's twist per actuated speed (N, 6, na).
         jacobian_slopes: Its derivative (N, 6, na, na).
@@ -69,7 +69,7 @@ class Statics(NamedTuple):
 
 
 class StaticForces:
-    """Loads of one robot at its file's dimensions; remembers the last positions asked for."""
+    """Loads of one robot at its file's dimensions; remembers the last requested positions."""
 
     def __init__(self, nominal: Geometry) -> None:
         """Prepare for a robot with the geometry of its file."""
@@ -84,7 +84,7 @@ class StaticForces:
         return self._mechanism.weight_arms(self.robot.home[None]).bodies
 
     def at(self, q: np.ndarray) -> Statics:
-        """Return the statics at positions (N, na); zeros where the robot cannot stand."""
+        """Return the statics at positions (N, na); zeros if the loops do not close."""
         key = q.tobytes()
         if key not in self._known:
             if len(self._known) >= _REMEMBERED:
@@ -112,7 +112,7 @@ class StaticForces:
         return Statics(arms[0], by_arm.transpose(1, 2, 3, 0, 4), jacobian[0], by_jacobian.transpose(1, 2, 3, 0))
 
     def _weigh(self, q: np.ndarray) -> WeightArms:
-        """Return what gravity is multiplied by, zeros where the loops do not close."""
+        """Return the factors of gravity, zeros if the loops do not close."""
         try:
             return self._mechanism.weight_arms(q)
         except LoopClosureError:
@@ -127,15 +127,15 @@ class StaticForces:
 
 @dataclass(frozen=True)
 class ElasticDrive:
-    """A drive or joint that yields.
+    """An elastic drive or joint.
 
     Attributes:
         joint: Joint name.
-        actuator: Its index.
-        unit: Of the joint.
-        name: Of its compliance.
-        size: Largest force that it holds [N m or N], 0 where nobody knows one.
-        load_size: Largest force of an unknown 1 kg at the tool [N m or N]; 0 where the load is known.
+        actuator: Index of the joint.
+        unit: Unit of the joint.
+        name: Name of its compliance.
+        size: Largest force that it holds [N m or N], 0 if unknown.
+        load_size: Largest force of an unknown 1 kg at the tool [N m or N]; 0 if the load is known.
         bodies: Joints whose bodies' masses load it.
     """
 
@@ -149,7 +149,7 @@ class ElasticDrive:
 
     @property
     def parameters(self) -> Parameters:
-        """The compliance, and the deflection by a load at the tool that nobody knows."""
+        """The compliance, and the deflection by an unknown load at the tool."""
         force = "N" if self.unit == "m" else "N m"
         rows = [(self.name, f"{self.unit}/({force})" if " " in force else f"{self.unit}/{force}", self.size)]
         rows += [("load_deflection", f"{self.unit} kg/({force})", self.load_size)] if self.load_size > 0 else []
@@ -176,7 +176,7 @@ class _Pull(NamedTuple):
 
 
 class _State(NamedTuple):
-    """Values by actuator: compliances (na,) and deflections by 1 kg (na,); by what share bodies are off (b,); gravity (3,)."""
+    """Values by actuator: compliances (na,) and deflections by 1 kg (na,); relative mass errors (b,); gravity (3,)."""
 
     c: np.ndarray
     d: np.ndarray
@@ -186,7 +186,7 @@ class _State(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ElasticDrives:
-    """All drives of a robot that yield, as `JointDisplacement`.
+    """All elastic drives of a robot, as `JointDisplacement`.
 
     Attributes:
         statics: The loads.
@@ -202,7 +202,7 @@ class ElasticDrives:
 
     @property
     def parameters(self) -> Parameters:
-        """The drives', then by what share masses are off that matter to them, and the base's tilt."""
+        """The drives' parameters, then the relative errors of the masses that load them, and the base's tilt."""
         return self._parameters
 
     @cached_property
@@ -216,13 +216,13 @@ class ElasticDrives:
 
     @property
     def known_beforehand(self) -> np.ndarray:
-        """Which parameters (p,) prior knowledge tells: masses and tilt."""
+        """Which parameters (p,) have prior knowledge: masses and tilt."""
         known = len(self._bodies) + len(self._tilts)
         return np.arange(len(self.parameters)) >= len(self.parameters) - known
 
     @cached_property
     def _bodies(self) -> tuple[str, ...]:
-        """Joints whose bodies load a joint that yields, each once; none where masses are known."""
+        """Joints whose bodies load an elastic joint, each once; empty if masses are known."""
         return () if self.masses_known else tuple(dict.fromkeys(b for drive in self.drives for b in drive.bodies))
 
     @property
@@ -247,12 +247,12 @@ class ElasticDrives:
         return tuple(np.flatnonzero(across > _LEVEL * np.linalg.norm(gravity)).tolist())
 
     def move(self, values: np.ndarray, q: np.ndarray, loads: np.ndarray | None) -> MovedJoints:
-        """Return where the joints are when their encoders say `q` (N, na).
+        """Return the real joint positions at encoder readings `q` (N, na).
 
         Args:
-            values: Of the parameters (p,).
-            q: Positions (N, na) [m or rad].
-            loads: Weight at the tool [kg], force [N] and moment [N m] on it in base axes (N, 7), or None.
+            values: Values of the parameters (p,).
+            q: Encoder readings (N, na) [m or rad].
+            loads: Mass at the tool [kg], force [N] and moment [N m] on it in base axes (N, 7), or None.
         """
         loads = np.zeros((len(q), 7)) if loads is None else loads
         state, at = self._read(values), self.statics.at(q)
@@ -283,10 +283,10 @@ class ElasticDrives:
         return MovedJoints(real, np.stack(columns, axis=2), by_position)
 
     def list_springs(self, values: np.ndarray) -> dict[str, tuple[str, float]]:
-        """Return the parameter and the compliance [rad/(N m) or m/N] of each joint that yields.
+        """Return the parameter and the compliance [rad/(N m) or m/N] of each elastic joint.
 
         Raises:
-            InputError: A load at the tool that nobody knows, or a compliance below zero, which no spring has.
+            InputError: The load at the tool is unknown, or a compliance is below zero, which no spring has.
         """
         found = {}
         for p, value in zip(self.parameters, values.tolist(), strict=True):
@@ -311,7 +311,7 @@ class ElasticDrives:
         return _State(c, d, errors, self.statics.gravity + np.cross(tilt, self.statics.gravity))
 
     def _weights(self, state: _State, loads: np.ndarray) -> np.ndarray:
-        """Return what sums bodies and 1 kg at the tool (N, b + 1)."""
+        """Return the weights of the sum over bodies and 1 kg at the tool (N, b + 1)."""
         return np.column_stack([np.tile(1 + state.errors, (len(loads), 1)), loads[:, 0]])
 
     def _pull(self, state: _State, at: Statics, loads: np.ndarray) -> _Pull:
@@ -328,7 +328,7 @@ class ElasticDrives:
 
 
 class JointLoading:
-    """What loads each joint over the range of some poses."""
+    """Loads of each joint over the range of some poses."""
 
     def __init__(self, statics: StaticForces, low: np.ndarray, high: np.ndarray, loads: np.ndarray) -> None:
         """Try positions between two (na,), with loads (N, 7) of the poses."""
@@ -355,11 +355,11 @@ class JointLoading:
         return tuple(np.array(self.statics.robot.actuated)[varies].tolist())
 
     def build(self, joints: Mapping[str, str], load_known: bool, masses_known: bool = False) -> ElasticDrives:
-        """Return the drives that yield.
+        """Return the elastic drives.
 
         Args:
             joints: Name of the compliance by joint.
-            load_known: Whether no unknown load hangs at the tool.
+            load_known: Whether the load at the tool is known.
             masses_known: Whether the file's masses and a level base count as exact.
         """
         return ElasticDrives(

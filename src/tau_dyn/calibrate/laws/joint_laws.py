@@ -1,15 +1,15 @@
-r"""What joints and carts do beside moving as their encoders say: a law is a few more parameters, zero in the nominal robot.
+r"""Laws of joints and carts, deviations from the encoder readings: a law adds a few parameters, zero in the nominal robot.
 
-A `Law` of a joint changes the position that it really has, `q_real = q + sum of e`:
+A `Law` of a joint changes its real position, `q_real = q + sum of e`:
 
 - periodic errors of pinions, racks and resolvers, `e = s sin(2 pi q / T) + c cos(2 pi q / T)`;
 - eccentricity of an encoder disc, `e = s sin q + c cos q`;
-- coupling, `e = k q_other`: another joint's drive turns this one along;
-- compliance of drives stands in `elastic_drives.py`.
+- coupling, `e = k q_other`: another joint's drive turns this joint too;
+- compliance of drives is in `elastic_drives.py`.
 
-One of a guideway displaces rod ends that its slide carries, `A = A_0 + d(q)`, in base axes. Laws are given `q` alone, so that
-forward kinematics stays a function of `q`; a load-dependent law takes its loads from the nominal robot, whose errors change them
-by parts in a thousand. References: thesis 4.2, 5.3, figures 4.3, 5.2; Whitney, Lozinski & Rourke 1986.
+A law of a guideway displaces the rod ends that its slide carries, `A = A_0 + d(q)`, in base axes. Laws depend only on `q`, so
+that forward kinematics remains a function of `q`; a load-dependent law takes its loads from the nominal robot, whose geometry
+errors change them by parts in a thousand. References: thesis 4.2, 5.3, figures 4.3, 5.2; Whitney, Lozinski & Rourke 1986.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Law(Protocol):
 
     @property
     def rods(self) -> tuple[int, ...]:
-        """Rods whose ends are displaced; none where the joint's own position is."""
+        """Rods whose ends are displaced; empty if the joint's own position is displaced."""
         ...
 
     @property
@@ -68,11 +68,11 @@ class Law(Protocol):
 
 
 class Displaced(NamedTuple):
-    """Where joints and rod ends really are.
+    """Real positions of joints and rod ends.
 
     Attributes:
         real: Positions (N, na).
-        by_encoder: Their derivative by what the encoders say (N, na, na).
+        by_encoder: Their derivative by the encoder readings (N, na, na).
         ends: Displacements of rod ends (N, rods, 3) [m].
         ends_by_encoder: Their derivative (N, rods, 3, na).
         columns: Each law and the derivative of its displacement by its parameters (N, d, p).
@@ -86,7 +86,7 @@ class Displaced(NamedTuple):
 
 
 def displace(laws: Sequence[Law], values: Sequence[np.ndarray], q: np.ndarray, n_rods: int = 0) -> Displaced:
-    """Return where joints and rod ends are when the encoders say `q` (N, na), each law at its values."""
+    """Return the real positions of joints and rod ends at encoder readings `q` (N, na), each law at its values."""
     real, by_encoder, columns = np.array(q, float), np.tile(np.eye(q.shape[1]), (len(q), 1, 1)), []
     ends, ends_by_encoder = np.zeros((len(q), n_rods, 3)), np.zeros((len(q), n_rods, 3, q.shape[1]))
     for law, own in zip(laws, values, strict=True):
@@ -128,7 +128,7 @@ class EncoderLaws:
         return np.zeros(len(self.parameters), bool)
 
     def move(self, values: np.ndarray, q: np.ndarray, loads: np.ndarray | None) -> MovedJoints:
-        """Return where joints are at encoders' positions (N, na)."""
+        """Return the real joint positions at encoder readings (N, na)."""
         moved = displace(self.laws, np.split(values, np.cumsum([len(law.parameters) for law in self.laws])[:-1]), q)
         columns = np.zeros((*q.shape, len(self.parameters)))
         first = 0
@@ -138,7 +138,7 @@ class EncoderLaws:
         return MovedJoints(moved.real, columns, lambda: moved.by_encoder)
 
     def list_springs(self, values: np.ndarray) -> dict[str, tuple[str, float]]:
-        """Return none."""
+        """Return no springs."""
         return {}
 
 
@@ -166,8 +166,8 @@ class PeriodicDriveLaw(_JointLaw):
         joint: Joint name.
         actuator: Its index.
         period: Starting value [m or rad].
-        label: What tells a second wave of the same joint apart, such as `2`.
-        unit: Of the joint.
+        label: Label of a second wave of the same joint, such as `2`.
+        unit: Unit of the joint.
     """
 
     joint: str
@@ -237,9 +237,9 @@ class CouplingLaw(_LinearLaw, _JointLaw):
     Attributes:
         joint: Joint name.
         actuator: Its index.
-        other: Name of the joint that moves it along.
+        other: Name of the joint that moves it too.
         source: That joint's index.
-        ratio: Nominal share: 0, or 1 or -1 where all of the other joint's motion is added.
+        ratio: Nominal share: 0, or 1 or -1 if all of the other joint's motion is added.
     """
 
     joint: str
@@ -268,7 +268,7 @@ class GuideBendLaw:
         actuator: Its index.
         rods: Rods it carries.
         knots: Positions along the guideway (k,) [m].
-        base: Displacements that are known beforehand (k, 3) [m], from a measured guideway; the parameters come on top.
+        base: Displacements that are known beforehand (k, 3) [m], from a measured guideway; the parameters are added to them.
     """
 
     joint: str
@@ -327,7 +327,7 @@ class RodPathLaw(_LinearLaw):
 
 @dataclass(frozen=True, eq=False)
 class CartComplianceLaw(_LinearLaw):
-    """A cart that yields to its rods' pull: `d = guideway_compliance F` across its guideway.
+    """A cart that is elastic under its rods' pull: `d = guideway_compliance F` across its guideway.
 
     Attributes:
         joint: Slide's name.
@@ -335,7 +335,7 @@ class CartComplianceLaw(_LinearLaw):
         rods: Rods it carries.
         direction: Unit vector of the guideway (3,).
         loads: The rods' pull.
-        at_tool: Loads at the tool (N, 7), None without any.
+        at_tool: Loads at the tool (N, 7), None without loads.
     """
 
     joint: str
@@ -364,5 +364,5 @@ def find_carried_rods(rods: Rods, actuator: int) -> tuple[int, ...]:
 
 
 def find_guideways(rods: Rods) -> tuple[int, ...]:
-    """Return the indices in `q` of slides that stand on the base and carry rods."""
+    """Return the indices in `q` of slides that are mounted on the base and carry rods."""
     return tuple(j.actuator for j in rods.numbers.joints if j.slides and j.parent < 0)

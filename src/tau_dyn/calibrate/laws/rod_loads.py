@@ -1,4 +1,4 @@
-"""What rods put on the carts of a standing robot, in all directions: those across a guideway bend it, no drive holds them."""
+"""Forces of rods on the carts of a robot at rest, in all directions: those across a guideway bend it, no drive supports them."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from tau_dyn.mechanism import Poses, Rods, forward_kinematics
 
 
 class RodLoads:
-    """Loads that the rods of one nominal robot put on carts; remembers the last positions asked for.
+    """Loads of the rods of one nominal robot on carts; remembers the last requested positions.
 
-    The plate balances, `J_X' f = w`, with `J_X` the gaps' derivative by the plate's twist and `w` the wrench of its weight, of
-    half of each rod's weight at its end and of loads at the tool (rods uniform, so the other half rests on the cart and never
-    changes). Thesis, end of 5.3.
+    The plate is in equilibrium, `J_X' f = w`, with `J_X` the gaps' derivative by the plate's twist and `w` the wrench of its
+    weight, of half of each rod's weight at its end and of loads at the tool (rods uniform, so the other half rests on the cart
+    and never changes). Thesis, end of 5.3.
     """
 
     def __init__(self, rods: Rods) -> None:
@@ -29,11 +29,11 @@ class RodLoads:
         self._remembered: tuple[bytes, np.ndarray] | None = None
 
     def __call__(self, q: np.ndarray, loads: np.ndarray | None = None) -> np.ndarray:
-        """Return the force of the rods on each slide (N, na, 3) [N], zero where the nominal robot cannot stand.
+        """Return the force of the rods on each slide (N, na, 3) [N], zero if the nominal robot cannot reach `q`.
 
         Args:
             q: Positions (N, na) [m or rad].
-            loads: Weight at the tool [kg], force [N] and moment [N m] on it in base axes (N, 7), or None.
+            loads: Mass at the tool [kg], force [N] and moment [N m] on it in base axes (N, 7), or None.
         """
         loads = np.zeros((len(q), 7)) if loads is None else loads
         key = q.tobytes() + loads.tobytes()
@@ -72,7 +72,7 @@ class RodLoads:
 
 
 def _mass(rod: str, rods: Sequence[str], masses: Mapping[str, np.ndarray]) -> float:
-    """Return a rod's mass [kg]; a link with several balls is several numbered rods, which share its mass alike."""
+    """Return a rod's mass [kg]; a link with several balls is several numbered rods, which share its mass equally."""
     link, number = f"{rod}_link", 1
     stem, _, index = rod.rpartition("_")
     if link not in masses and index.isdigit():
