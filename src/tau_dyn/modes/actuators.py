@@ -5,9 +5,10 @@
 The reference r is held over each sample, so sampling is exact for any delay, whole samples or not. The thesis writes the same
 as `G(q) = q^-d b / (1 - a q^-1)`, (6.11): `d` counts the sample that the hold itself takes, so `delay = (d - 1) dt` there.
 
-Fit of the output error, whose noise may be coloured: gain, offset and what is left of an earlier motion enter linearly and are
-solved for exactly (variable projection, Golub & Pereyra 1973); the time constant and the delay are searched. The response has a
-kink where the delay passes a sample, so the search goes from one sample's width to the next, as long as the error falls.
+The output error, whose noise may be coloured, is minimised. Gain, offset and the decaying rest of an earlier motion
+enter linearly and are solved for exactly (variable projection, Golub & Pereyra 1973); the time constant and the delay
+are searched. The response has a kink where the delay crosses a sample boundary, so the search proceeds one sample
+interval at a time, as long as the error decreases.
 """
 
 from __future__ import annotations
@@ -96,7 +97,7 @@ class ActuatorFit:
 
     Attributes:
         actuator: Gain, time constant, delay.
-        covariance: Of these three (3, 3).
+        covariance: Covariance of these three numbers (3, 3).
         residuals: Measured minus modelled position, test by test.
         fit_percent: `100 (1 - |y - model| / |y - mean|)` over all tests.
     """
@@ -275,7 +276,7 @@ def _covariance(
     J = [part / np.where(size > 0, size, 1.0) for part in J]
     inverse = np.linalg.pinv(sum(part.T @ part for part in J), rcond=1e-13)
     middle = sum(part.T @ matmul_toeplitz(noise.autocovariance(len(part)), part) for part in J)
-    scale = np.outer(size, size)  # zero where a parameter does nothing, such as a time constant far below a sample
+    scale = np.outer(size, size)  # zero if a parameter has no effect, such as a time constant far below a sample
     covariance = np.full_like(scale, np.inf)
     np.divide(inverse @ middle @ inverse * n / (n - q), scale, out=covariance, where=scale > 0)
     keep = [0, q - 2, q - 1]
