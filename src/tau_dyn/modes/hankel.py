@@ -8,10 +8,10 @@ Z are those on rows of any L with L L' = Z Z'. The Gram matrix Z Z' has a displa
 so that one block row, a correlation, gives all of it: O(N log N) for the samples, whatever the number of rows. Forming it
 squares the condition number; where that costs too many digits, a QR factorisation in chunks replaces it.
 
-ARX models, y_t = sum_k A_k y_{t-k} + sum_k B_k u_{t-d-k} + e_t, are linear least squares on these data. Of high order, one
-describes any linear system under any disturbance, also under feedback, at the price of many parameters; reduce it afterwards.
-References: Mastronardi, Kressner, Sima, Van Dooren, Van Huffel 2001 (fast subspace identification by displacement structure);
-Golub & Van Loan 2013, 5.3; Ljung 1999, 4.2, 10.1; Ljung & Wahlberg 1992 on high orders.
+ARX models, y_t = sum_k A_k y_{t-k} + sum_k B_k u_{t-d-k} + e_t, are linear least squares on these data. An ARX model of
+high order describes any linear system under any disturbance, also under feedback, at the cost of many parameters;
+reduce it afterwards. References: Mastronardi, Kressner, Sima, Van Dooren, Van Huffel 2001 (fast subspace identification
+by displacement structure); Golub & Van Loan 2013, 5.3; Ljung 1999, 4.2, 10.1; Ljung & Wahlberg 1992 on high orders.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""From records to a first model of any order, by the method asked for; every method guards against instability.
+"""First models of any order from records, by the requested method; every method guards against instability.
 
-`n4sid` is the canonical variate analysis of `subspace.py`, `pbsid` bears feedback, `arx` reduces a long ARX model, `era` takes
-pulse tests. Refinement starts here and mends what these leave; which method suits the data is decided in `find.py`.
+`n4sid` is the canonical variate analysis of `subspace.py`, `pbsid` is consistent under feedback, `arx` reduces a long
+ARX model, `era` takes pulse tests. Refinement starts from these models and corrects their errors; the method is
+selected in `find.py`.
 
 Eigensystem realisation (Juang & Pappa 1985): the block-Hankel matrix of Markov parameters is Gamma times the controllability
 matrix; its singular vectors give A, B, C. A pulse test is the same with unknown initial states in place of inputs: once the
@@ -88,7 +89,7 @@ class EraFactors:
     Attributes:
         records: Aligned by the delay and scaled.
         scales: Their scales.
-        realisation: Of the decays after each pulse.
+        realisation: Realisation of the decays after each pulse.
         delay: Whole samples of delay.
     """
 
@@ -113,7 +114,7 @@ class EraFactors:
         return replace(point.form.state_space(), delay=self.delay, noise=point.covariance).unscaled(self.scales)
 
     def measure_loss(self, order: int) -> float:
-        """Return the log det of what the model of an order, or of fewer states where the decays are short, leaves."""
+        """Return log det of the residual covariance of an order's model, of fewer states if the decays are short."""
         most = min(self.realisation.shifted.shape) - self.realisation.p
         return fit_input_matrices(*self.dynamics(min(order, most)), self.records, True).loss + self.scales.log_size
 
@@ -239,11 +240,11 @@ def build_initial_estimator(method: str, records: Sequence[Record], *, delay: in
 
 @dataclass(frozen=True, eq=False)
 class InitialModels:
-    """First looks at records under one delay.
+    """First poles and models of records under one delay.
 
     Attributes:
-        poles: From an order to poles (n,) in the z plane; cheap.
-        model: From an order to a first model.
+        poles: Function from an order to poles (n,) in the z plane; cheap.
+        model: Function from an order to a first model.
     """
 
     poles: Callable[[int], np.ndarray]

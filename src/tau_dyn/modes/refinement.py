@@ -93,7 +93,7 @@ def propagate_covariance(
 
     Args:
         form: The form that was estimated.
-        covariance: Of its free numbers (f, f).
+        covariance: Covariance of its free numbers (f, f).
         direct: Which entries of its D are free.
         change: Makes the other form, its modes in any order and scale.
         reference: The other form at the estimate.
@@ -246,9 +246,8 @@ class RefinedModel:
 
     Attributes:
         model: The model; real block-diagonal for output errors.
-        covariance: Of the full vector of `build_modal_form(model)`, see `Layout` (size, size); fixed numbers have zero rows,
-        modes
-            that cannot be told apart (poles about to meet on the real axis) rows of nan.
+        covariance: Covariance of the full vector of `build_modal_form(model)`, see `Layout` (size, size); fixed numbers
+            have zero rows, modes that cannot be distinguished (poles about to meet on the real axis) have rows of nan.
         modes: Its resonances with standard errors.
         loss: log det of the residuals' covariance, in the outputs' own units.
         residuals: Residuals record by record (N_r - delay, p), in the outputs' own units.
@@ -256,7 +255,7 @@ class RefinedModel:
         rounds: Accepted steps.
         converged: Whether the last step was small against the standard errors.
         kind: "output_error" or "prediction_error".
-        estimate: What was estimated, from which the response's covariance follows.
+        estimate: The estimated modal form, from which the response's covariance follows.
     """
 
     model: StateSpace

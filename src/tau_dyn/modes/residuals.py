@@ -1,4 +1,4 @@
-"""What a model leaves of records: how likely that makes it, how well it fits, and whether what is left is noise.
+"""Residuals of a model on records: likelihood and information criteria, fit, and tests of whiteness and independence.
 
     loss = log det (1/N) sum e_t e_t',     BIC = N loss + k log N,   AIC = N loss + 2 k
     fit = 100 (1 - |y - y_hat| / |y - mean(y)|)                                     per output
@@ -6,13 +6,14 @@
     r_eu(k) = corr(e_t, u_{t-k}),     99 % band  +- 2.58 sqrt(P_0 / N),  P_j = sum_k r_e(k) r_u(k + j)
     v_t = sum_{k=1}^{L} F_k v_{t-k} + e_t
 
-`e` is the error of a free simulation, or of a prediction one step ahead where a loop was closed or whiteness is asked for; `k`
-counts free numbers. With coloured noise the criteria of a simulation reward too many states: they assume that `e` is white. The
-correlation with the inputs is tested on whatever the model leaves, coloured or not: `P` is what the colours of both do to it. A
-whole curve is judged by one number, `N r' P^-1 r`, chi-squared with as many degrees of freedom as lags. Lags from 0 up show
-dynamics that the model lacks; negative lags show inputs that answer to past residuals, which is feedback. The last line is the
-memory of what a simulation leaves, `v`, for predictions a few steps ahead; L is BIC's choice, and 0 says that `v` has no memory
-(its long-memory counterpart is the innovation form in `refinement.py`). Reference: Ljung 1999, 16.4, 16.6.
+`e` is the error of a free simulation, or of a prediction one step ahead for closed loops and for tests of whiteness;
+`k` is the number of free parameters. With coloured noise the criteria of a simulation favour too many states, because
+they assume that `e` is white. The correlation with the inputs is tested on white or coloured residuals: `P` accounts
+for the autocorrelation of both signals. A whole curve is tested by one statistic, `N r' P^-1 r`, chi-squared with as
+many degrees of freedom as lags. Lags from 0 up show dynamics that the model lacks; negative lags show inputs that
+respond to past residuals, which is feedback. The last line is an autoregression of the simulation residuals `v`, for
+predictions a few steps ahead; L is selected by BIC, and L = 0 means that `v` is white (its long-memory counterpart is
+the innovation form in `refinement.py`). Reference: Ljung 1999, 16.4, 16.6.
 """
 
 from __future__ import annotations
@@ -131,9 +132,9 @@ class NoiseModel:
 
 
 def fit_noise_model(errors: Sequence[np.ndarray]) -> NoiseModel:
-    """Fit the model to a simulation's errors, one (N, p) a record; its length is BIC's choice.
+    """Fit the model to a simulation's errors, one (N, p) per record; BIC selects its length.
 
-    From tapered autocovariances (Yule-Walker), which make it stable whatever the errors are.
+    The fit uses tapered autocovariances (Yule-Walker), which make the model stable for any errors.
     """
     few, left = [], MAX_NOISE_SAMPLES
     for v in errors:
@@ -171,9 +172,9 @@ class FitQuality:
 
     Attributes:
         percent: Fit of a free simulation per output (p,), initial state estimated.
-        ahead: The same of predictions so many samples ahead, by number of samples; one and ten, where noise was modelled.
-        n_samples: Samples looked at.
-        rms: Root mean square of what the simulation misses, per output (p,).
+        ahead: The same for predictions, by number of samples ahead; one and ten, if noise was modelled.
+        n_samples: Number of samples.
+        rms: Root mean square of the simulation error, per output (p,).
     """
 
     percent: np.ndarray
@@ -226,7 +227,7 @@ class CorrelationTest(Brief):
 
 
 def fit_of(measured: Sequence[np.ndarray], simulated: Sequence[np.ndarray]) -> np.ndarray:
-    """Return how much of each output's movement simulations of records explain (p,) [%]; 100 is all, 0 nothing."""
+    """Return the fit of simulations of records per output (p,) [%]; 100 is exact, 0 is no better than the mean."""
     missed = np.sum([np.sum((y - s) ** 2, axis=0) for y, s in zip(measured, simulated, strict=True)], axis=0)
     moved = np.sum([np.sum((y - y.mean(axis=0)) ** 2, axis=0) for y in measured], axis=0)
     return 100 * (1 - np.sqrt(missed / np.where(moved > 0, moved, np.nan)))
@@ -263,10 +264,10 @@ def check_independence(
     lags: int = LAGS,
     used: int = 0,
 ) -> tuple[CorrelationTest, ...]:
-    """Test whether what is left still answers to the inputs: one test a pair.
+    """Test whether the residuals are correlated with the inputs: one test for each pair.
 
     Args:
-        errors: What the model leaves, one (N, p) a record; may be coloured.
+        errors: Residuals of the model, one (N, p) per record; may be coloured.
         u: Inputs (N, m) of the same records, as late as the model's delay makes them act.
         outputs: Names of the outputs.
         inputs: Names of the inputs.
@@ -318,7 +319,7 @@ def _autocorrelation(columns: list[np.ndarray], lags: int) -> np.ndarray:
 
 
 def _correlation(a: list[np.ndarray], b: list[np.ndarray], lags: int) -> np.ndarray:
-    """Return mean of a_t b_{t-k} for k = -lags .. lags, over all records, none joined to the next."""
+    """Return mean of a_t b_{t-k} for k = -lags .. lags, over all records, without joining records."""
     total = np.zeros(2 * lags + 1)
     for x, y in zip(a, b, strict=True):
         size = int(next_fast_len(len(x) + lags + 1, real=True) or 0)

@@ -1,11 +1,11 @@
-"""The responses that the data show, in frequency and in time, and the model's beside them.
+"""Measured responses in frequency and in time, next to those of the model.
 
     H(f) = S_yu S_uu^-1,      coherence(f) = S_yu S_uu^-1 S_uy / S_yy,      h = F^-1 [ Y U^H (U U^H + floor)^-1 ]
 
-Spectra are averaged over windowed stretches. With several inputs the coherence is the multiple one: the share of an output's
-power that all inputs explain together. Under feedback `S_yu` mixes plant and controller; with the loop's reference r known, `H
-= S_yr S_ur^-1` does not (Pintelon & Schoukens 2012, 2.6). Of pulse tests, whose response dies within the record, each record is
-one stretch and no window is needed. Noise in the inputs pulls H towards zero.
+Spectra are averaged over windowed segments. With several inputs the coherence is the multiple one: the share of an
+output's power that all inputs explain together. Under feedback `S_yu` mixes plant and controller; with the loop's
+reference r known, `H = S_yr S_ur^-1` does not (Pintelon & Schoukens 2012, 2.6). In pulse tests, whose response decays
+within the record, each record is one segment and no window is needed. Noise in the inputs pulls H towards zero.
 
 For the response to a unit pulse h, a driven record is divided by its inputs in the frequency domain, with a floor where they
 hold little power. The model's simulation of the same inputs goes through the same division, so that the floor, the inputs' band
@@ -40,10 +40,11 @@ class EmpiricalResponse(Brief):
     Attributes:
         frequency: (F,) [Hz].
         response: (F, p, m), nan where the inputs hold no power.
-        coherence: Share of each output's power that the inputs explain together (F, p), 0 to 1; nan where it means nothing.
+        coherence: Share of each output's power that the inputs explain together (F, p), 0 to 1; nan where it is not
+            defined.
         excited: Frequencies at which the inputs hold power (F,) bool.
-        n_averages: Stretches averaged.
-        how: What was done, in words.
+        n_averages: Number of averaged segments.
+        how: Description of the computation.
     """
 
     frequency: np.ndarray
@@ -57,12 +58,13 @@ class EmpiricalResponse(Brief):
 def estimate_empirical_response(
     records: Sequence[Record], *, impulses: bool = False, resolve: float = 0.0
 ) -> EmpiricalResponse:
-    """Return what spectra alone say of the response from inputs to outputs.
+    """Return the response from inputs to outputs estimated from spectra alone.
 
     Args:
-        records: Inputs and outputs on one step; their references are used where there are as many as inputs.
+        records: Inputs and outputs on one step; their references are used if there are as many as inputs.
         impulses: Whether each record holds one short pulse and its decay.
-        resolve: Width of the narrowest resonance [Hz]; stretches are no longer than it takes to resolve it. 0 where unknown.
+        resolve: Width of the narrowest resonance [Hz]; segments are no longer than required to resolve it. 0 if
+            unknown.
     """
     m, references = records[0].u.shape[1], [r.reference for r in records if r.reference is not None]
     looped = len(references) == len(records) and references[0].shape[1] == m and not impulses
@@ -114,7 +116,7 @@ def _size(records: Sequence[Record], impulses: bool, resolve: float) -> int:
 
 
 def _excited(suu: np.ndarray) -> np.ndarray:
-    """Return where the inputs hold power in every direction (F,): 60 dB below the strongest is as good as none."""
+    """Return where the inputs have power in every direction (F,): above -60 dB relative to the maximum over frequency."""
     weakest = np.linalg.eigvalsh(suu / _scale(suu))[:, 0]
     return weakest > 1e-6 * float(np.max(weakest, initial=0.0))
 
@@ -226,8 +228,8 @@ def compute_impulse_responses(
 
     Args:
         model: The model.
-        records: What to compare on.
-        modes: Its modes; they tell how long a response lasts.
+        records: Records on which they are compared.
+        modes: Modes of the model; they determine how long a response lasts.
         kind: `driven` or `impulse`.
         held_out: Whether the model was not fitted to these records.
     """

@@ -1,4 +1,4 @@
-"""A sampled linear model in innovation form: what it says of records, its Gramians, and its file.
+"""A sampled linear model in innovation form: simulation and prediction of records, its Gramians, and its file.
 
     x_{k+1} = A x_k + B u_{k-d} + K e_k,   y_k = C x_k + D u_{k-d} + e_k
 
@@ -117,7 +117,7 @@ def simulate(model: StateSpace, record: Record, x0: np.ndarray | None = None) ->
 
     Args:
         model: The model.
-        record: Its inputs are used; before its first sample they are taken to have been what they are there.
+        record: Its inputs are used; before the first sample they are assumed equal to those at the first sample.
         x0: State at the first sample (n,); None takes the one that fits the record's outputs best.
     """
     u = delay_inputs(model, record)
@@ -134,7 +134,7 @@ def estimate_initial_state(model: StateSpace, record: Record, predictor: bool = 
     scale = np.sqrt(np.mean(rest**2, axis=0))
     scale[scale == 0] = 1.0
     gamma = _free_responses(A, model.C / scale[:, None], n)
-    known = model.delay if n > 2 * (model.delay + model.order) else 0  # what acted before is not in the record
+    known = model.delay if n > 2 * (model.delay + model.order) else 0  # earlier inputs are not in the record
     return np.linalg.lstsq(gamma[known:].reshape(-1, model.order), (rest[known:n] / scale).ravel(), rcond=1e-10)[0]
 
 
@@ -228,7 +228,7 @@ class ModelFile:
 
 
 def save_state_space(path: str | Path, content: ModelFile) -> None:
-    """Write a model as YAML, the whole file or none."""
+    """Write a model as YAML; the file is written completely or not at all."""
     m = content.model
     rows = {name: getattr(m, name).tolist() for name in _MATRICES}
     entries = {

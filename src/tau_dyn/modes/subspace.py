@@ -87,7 +87,7 @@ MAX_BLOCK_ROWS = 60  # block rows taken where the horizon is not given
 
 @dataclass(frozen=True, eq=False)
 class SubspaceFactors:
-    """What the subspace method needs of records; models of any order follow without another look at most of the data.
+    """Matrices of the subspace method; models of any order follow without further passes over most of the data.
 
     Attributes:
         records: The records, aligned by the delay and scaled.
@@ -165,8 +165,8 @@ def compress_subspace_data(records: Sequence[Record], *, horizon: int | None = N
 
     Args:
         records: Unbroken stretches of inputs and outputs.
-        horizon: Block rows of past and of future; it should span the slowest resonance's period, and
-            (horizon - 1) p must reach the order. None takes what the data carry, at most 60.
+        horizon: Block rows of past and of future; it should span the slowest resonance's period, and (horizon - 1) p
+            must reach the order. None takes the largest that the data permit, at most 60.
         delay: Whole samples by which the inputs act late.
 
     Raises:

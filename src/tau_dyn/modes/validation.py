@@ -1,13 +1,14 @@
-"""A refined model judged: fit on held-out data, tests of what is left, spectra, uncertainty, mass-damping-stiffness, doubts.
+"""Validation of a refined model: fit on held-out data, tests of residuals, spectra, uncertainty, M, D, K, warnings.
 
 The test for nonlinear stiffness, damping or friction: with e the residual of a simulation, y the simulated output and u the
 inputs,
 
     A(q) e_t = B(q) u_t + C(q) y_t + T(q) y_t^k + w_t,      k = 2, 3,      e.g. Duffing:  e = -G k3 y^3 + v
 
-has T = 0 where the structure is linear, in open and in closed loop: w is new at t, and everything else is past. A and B take up
-colour and linear dynamics that the model lacks. An F-test says whether T differs from zero, the variance of `T / A y^k` over
-that of e whether it matters. References: Billings & Voon 1986; Söderström & Stoica 1989, 11.3 (nested model structures).
+has T = 0 where the structure is linear, in open and in closed loop: w is new at t, and everything else is past. A and B
+model colour and linear dynamics that the model lacks. An F-test decides whether T differs from zero; the variance of `T
+/ A y^k` over that of e decides whether it matters. References: Billings & Voon 1986; Söderström & Stoica 1989, 11.3
+(nested model structures).
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ from tau_dyn.modes.sensors import DISPLACEMENT, SensorKind
 from tau_dyn.modes.state_space import StateSpace, delay_inputs, predict, simulate
 
 PREDICTION_HORIZONS = (1, 10)
-GRID = 400  # frequencies in a geometric row, beside those near resonances
+GRID = 400  # frequencies in a geometric row, in addition to those near resonances
 TRACES = 6  # records kept for drawing
 
 
@@ -70,16 +71,16 @@ def validate_model(
     sensor: SensorKind = DISPLACEMENT,
     collocated: Sequence[tuple[int, int]] | None = None,
 ) -> Modes:
-    """Return the result with everything that says how far to trust it.
+    """Return the result with its validation.
 
     Args:
-        refined: The model of the training data, which held-out data may judge.
-        data: What it was fitted to, and what was held out.
-        feedback: Whether the inputs answer to the outputs.
+        refined: The model of the training data, which is validated on held-out data.
+        data: Training records and held-out records.
+        feedback: Whether the inputs respond to the outputs.
         delay: How the delay was chosen.
         order: How the order was chosen.
-        final: The model of all data, which is the answer; None takes the one of the training data.
-        sensor: What the outputs are.
+        final: The model of all data, which is returned; None takes the one of the training data.
+        sensor: Quantity that the outputs measure.
         collocated: Pairs of an input's and an output's number at one place.
     """
     final = final or refined
@@ -157,7 +158,7 @@ def _tests(
     long = [r for r in records if r.n_samples >= 100]
     if not long:
         return (), ()
-    # in a loop a disturbance reaches the inputs, so that only what is new at each sample can be asked of them
+    # in a loop a disturbance reaches the inputs, so only the innovation at each sample can be tested against them
     if np.any(model.K):
         one_step = kept = compute_prediction_errors(model, noise, long, 1)
     else:
@@ -228,7 +229,7 @@ MIN_RECORD_PERIODS = 10  # of the slowest mode; fewer leave its damping open
 
 
 def list_doubts(found: Modes) -> Iterator[str]:
-    """Yield what a careful colleague would mention about a result, a sentence each."""
+    """Yield the warnings about a result, one sentence each."""
     if found.feedback.suspected and found.feedback.input:
         said = f"{found.feedback.why}: a loop was closed; log its reference and name it with --reference"
         yield CodedWarning("feedback_found", said)
@@ -339,7 +340,7 @@ def _regress(e: np.ndarray, columns: np.ndarray, basis: np.ndarray, n: int) -> t
     theta = np.linalg.lstsq(apart, right, rcond=None)[0]
     new = right - apart @ theta
     drive = e - new - columns[:, :n] @ theta[:n]
-    with np.errstate(all="ignore"):  # an unstable autoregression runs away and explains nothing
+    with np.errstate(all="ignore"):  # an unstable autoregression diverges and has no explanatory power
         missed = float(np.var(e - lfilter([1.0], np.r_[1.0, -theta[:n]], drive)))
     return float(new @ new), missed if np.isfinite(missed) else float("inf")
 

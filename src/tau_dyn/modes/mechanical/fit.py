@@ -1,14 +1,14 @@
-"""The two fits of M, D and K, and whether they mean something.
+"""The two fits of M, D and K, and the checks of their validity.
 
-A whole structure is fitted by maximum likelihood, weighed by the covariance of the model's parameters; a stand-in with fewer
-degrees of freedom than modes cannot be right everywhere: it spreads its relative error evenly over its band, with the static
-end counted more. Both work in scaled units and start from the conic program.
+A complete structure is fitted by maximum likelihood, weighed by the covariance of the model's parameters. A condensed
+model with fewer degrees of freedom than modes cannot fit everywhere: its relative error is spread evenly over its band,
+with more weight at the static end. Both fits work in scaled units and start from the conic program.
 
-A feasible program is not an identified matrix. `identified` takes as many modes as named degrees of freedom, a misfit that
-chance explains (`SIGNIFICANCE_LEVEL`) and that is small at every mode, and enough information to tell M and K: the standard
-error of `E` in `M = L (I + E) L'` below `MAX_RELATIVE_STDERR` in every direction. Where fewer are sensed than there are modes,
-the same matrices are at most `condensed`: a stand-in on the band where it fits. A mode that the data do not show cannot be
-counted by any of this.
+A feasible program is not an identified matrix. `identified` requires as many modes as named degrees of freedom, a
+misfit that is not significant (`SIGNIFICANCE_LEVEL`) and that is small at every mode, and enough information to
+determine M and K: the standard error of `E` in `M = L (I + E) L'` below `MAX_RELATIVE_STDERR` in every direction. If
+fewer degrees of freedom are sensed than there are modes, the same matrices are at most `condensed`: a condensed model
+on the band in which it fits. These checks cannot count a mode that the data do not show.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ SIGNIFICANCE_LEVEL = 1e-3
 
 @dataclass(frozen=True)
 class Agreement:
-    """Where a structure stands for the model.
+    """The band in which a structure reproduces the model.
 
     Attributes:
-        valid_hz: The widest band around all wanted modes in which it does; None where it does not even there.
-        misfit: Greatest relative error of the response in that band, or at the modes where there is none.
+        valid_hz: The widest band around all wanted modes in which it does; None if it does not fit at the modes.
+        misfit: Greatest relative error of the response in that band, or at the modes if there is no band.
     """
 
     valid_hz: tuple[float, float] | None
@@ -56,7 +56,7 @@ class Agreement:
         return Agreement(band, max(self.misfit, other.misfit))
 
     def reaching(self, low_hz: float) -> Agreement:
-        """Return it if its band begins at `low_hz` or below: what fits around a resonance alone stands for nothing else."""
+        """Return it if its band begins at `low_hz` or below: a fit around a resonance alone is not valid elsewhere."""
         return self if self.valid_hz and self.valid_hz[0] <= low_hz else Agreement(None, self.misfit)
 
 
@@ -81,7 +81,7 @@ def find_valid_band(
     f = np.unique(np.concatenate([np.geomspace(*span_hz, 160), *(modes_hz * (1 + d) for d in (-0.01, 0.0, 0.01))]))
     s = 2j * np.pi * f
     H = evidence.at.response(s)
-    unit = places.unit(H)  # metres and radians weigh alike
+    unit = places.unit(H)  # metres and radians have equal weight
     size = np.linalg.norm(H / unit, axis=(1, 2))
     error = np.linalg.norm((places.select(structure.compliance(s)) - H) / unit, axis=(1, 2)) / size
     sigma = np.zeros(len(f))
@@ -119,9 +119,9 @@ def get_covariance(target: Target, structure: SecondOrder, factor: np.ndarray | 
     """Return the covariance (q, q) of the entries of M, D, K.
 
     Args:
-        target: What was fitted.
+        target: The response that was fitted.
         structure: The fit.
-        factor: Covariance factor (F, p, m, r) of the response, where the target's weights do not whiten it; None where they do.
+        factor: Covariance factor (F, p, m, r) of the response if the target's weights do not whiten it; else None.
     """
     frame = compute_relative_frame(structure)
     J = target.jacobian(structure) @ frame
@@ -170,12 +170,12 @@ def measure_asymmetry(evidence: Evidence, places: Places) -> tuple[float, float]
 _LIFT = 0.05
 """The likelihood looks at the response off the imaginary axis by this part of the frequency: there a shift of a resonance by its
 standard error changes the response in proportion, however light the damping."""
-_STATIC = 4.0  # weight of a stand-in's error below half the first resonance, against one above
+_STATIC = 4.0  # weight of a condensed model's error below half the first resonance, relative to one above
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What is to be fitted.
+    """Input of a fit of M, D and K.
 
     Attributes:
         evidence: The model and its uncertainty.
@@ -198,9 +198,9 @@ class MechanicalFit:
 
     Attributes:
         structure: M, D, K.
-        covariance: Of the upper triangles of M, D, K, one after another (q, q); None without uncertainty.
-        agreement: Where it stands for the model.
-        consistency: Probability of so large a misfit by chance, where the weights allow to tell.
+        covariance: Covariance of the upper triangles of M, D, K, one after another (q, q); None without uncertainty.
+        agreement: The band in which it reproduces the model.
+        consistency: Probability of so large a misfit by chance, if the weights allow this test.
         unknown: Standard error of the worst relative direction of M and of K.
     """
 
@@ -221,7 +221,7 @@ def fit_full_structure(task: Task) -> MechanicalFit:
 
 
 def fit_condensed_structure(task: Task, count: int) -> MechanicalFit:
-    """Return the structure of the named degrees of freedom that best stands for the first `count` modes.
+    """Return the structure of the named degrees of freedom that best reproduces the first `count` modes.
 
     Between the named places the modes are known from every force to every sensor by reciprocity; all of that is fitted.
     """
