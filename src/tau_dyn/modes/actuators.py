@@ -32,7 +32,7 @@ class Actuator:
 
     Attributes:
         gain: Static gain.
-        time_constant: [s].
+        time_constant: Time constant [s].
         delay: Dead time [s].
     """
 
@@ -81,12 +81,12 @@ def filter_at_rest(reference: np.ndarray, dt: float, time_constant: float, delay
 def _sampled(dt: float, time_constant: float, delay: float) -> tuple[int, float, float, float]:
     """Return whole samples of delay, the weights of the input then and one sample earlier, and the pole."""
     whole = int(np.floor(delay / dt + 1e-9))
-    part = max(delay - whole * dt, 0.0)  # this long into each step the older input still acts
+    part = max(delay - whole * dt, 0.0)  # for this part of each step the older input still acts
     a, left = np.exp(-dt / time_constant), np.exp(-(dt - part) / time_constant)
     return whole, float(1 - left), float(left - a), float(a)
 
 
-_MAX_START_DELAY_SAMPLES = 64  # samples of delay up to which a start is looked for; the search itself may go on
+_MAX_START_DELAY_SAMPLES = 64  # samples of delay up to which starts are tried; the search itself may exceed it
 _STRIDE = 4  # samples of delay between two starts
 _WIDTHS = 12  # time constants that are tried, from half a sample to the length of the test
 
@@ -125,7 +125,7 @@ def fit_actuators(
 
     Args:
         records: The tests.
-        progress: Told how far it is.
+        progress: Called with the progress.
 
     Raises:
         InputError: References and positions do not pair, the tests differ in rate, or numbers are missing.
@@ -239,7 +239,7 @@ def _within(tests: Tests, dt: float, width: float, low: int) -> tuple[float, flo
 
 
 def _at_delay(tests: Tests, dt: float, width: float, samples: int) -> tuple[float, float, float]:
-    """Return the same for a whole number of samples: on the kink, which the search within a sample only comes near to."""
+    """Return the same for a whole number of samples: at the kink, which the search within a sample only approaches."""
 
     def loss(x: float) -> float:
         return sum(float(e @ e) for e in _errors(tests, dt, float(np.exp(x)), samples * dt))

@@ -27,9 +27,9 @@ _OF_PEAK, _OF_NOISE = 0.02, 6.0
 """Share of an input's largest force, and multiple of its noise, above which there is contact."""
 _FLANK, _FLANK_SHARE = 4, 0.2
 """Samples around contact that belong to it, and the same as a share of the contact."""
-_MAX_CONTACT = 0.3  # share of a record; with more it was not hit, but driven
+_MAX_CONTACT = 0.3  # share of a record; with more contact the record is driven, not an impulse test
 _ORDER = 12  # states of the models by which windows are judged
-_SAMPLES, _LEAST = 6000, 500  # that they are fitted to, and of each pulse at least
+_SAMPLES, _LEAST = 6000, 500  # samples that these models are fitted to, in all and at least of each pulse
 _BINS = 24  # of one contact's samples, at most
 
 

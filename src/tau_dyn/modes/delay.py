@@ -38,12 +38,12 @@ MAX_DELAY_SAMPLES = 20  # the longest delay that is tried
 ORDERS = (2, 4, 6, 8, 12, 20, 28)  # orders tried for every delay: modes that all of them lack would look like a delay
 MAX_REFINED_ORDER = 12
 """Order up to which rivals are refined: beyond, first models are close enough for a delay, and refinement slow."""
-SCAN_SHARE = 0.3  # of a time limit after which no further delay is looked at
-COARSE = 4  # step of the first look
+SCAN_SHARE = 0.3  # of a time limit after which no further delay is tried
+COARSE = 4  # step of the coarse scan, in samples
 CLOSE_BIC_DIFFERENCE = 100.0  # BIC within which two delays are compared by refined models
 RIVALS = 3  # delays refined at most; a scan over first models separates the others
 MAX_ITERATIONS = 8  # Gauss-Newton steps for a rival; enough to rank it
-DECISIVE_BIC_DIFFERENCE = 10.0  # BIC beyond which a rival is out of the question (Kass & Raftery 1995)
+DECISIVE_BIC_DIFFERENCE = 10.0  # BIC difference beyond which a rival is excluded (Kass & Raftery 1995)
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ def choose_delay(
 def _summarise(
     best: int, found: dict[int, tuple[float, int]], gaps: dict[int, float]
 ) -> tuple[tuple[tuple[int, int, float], ...], float]:
-    """Return the scan, and by how much the next best delay is behind."""
+    """Return the scan, and the BIC difference of the next best delay."""
     scan = tuple((d, found[d][1], max(gaps[d], 0.0)) for d in sorted(found))
     return scan, min((gap for d, _, gap in scan if d != best), default=float("inf"))
 
@@ -192,7 +192,7 @@ def _scan(
     say: Callable[[str], None],
     limit: TimeLimit,
 ) -> dict[int, tuple[float, int]]:
-    """Return by delay the best BIC and its order: a coarse look, then the neighbours of the best."""
+    """Return the best BIC and its order for each delay: a coarse scan, then the neighbours of the best."""
     found: dict[int, tuple[float, int]] = {}
     wanted, tried = list(range(0, most + 1, COARSE)), set[int]()
     while wanted:
@@ -277,8 +277,8 @@ def _refined(records: Sequence[Record], first: InitialModels, delay: int, order:
     return compute_aic_bic(compute_log_det_loss(errors), sum(len(e) for e in errors), k)[1]
 
 
-ONSET_ORDER = 12  # states that ring on, at most
-MIN_ONSET_SNR = 8.0  # times the noise before the pulse that an answer differs from ringing on
+ONSET_ORDER = 12  # states of the free decay, at most
+MIN_ONSET_SNR = 8.0  # deviation from the free decay over the noise before the pulse, from which on it is a response
 OF_PEAK = 2e-4  # part of the output's peak that it must reach at least
 STARTED = 0.005  # part of the peak of the force at which the pulse has begun
 

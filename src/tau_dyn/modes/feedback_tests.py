@@ -52,7 +52,7 @@ LEADS = 4
 frequency has died away by then, down to noise of a thousandth."""
 MAX_SAMPLES = 10_000  # samples examined: more would only detect feedback that does not matter
 SIGNIFICANCE_LEVEL = 1e-3  # of feedback that is not there; one record in a thousand
-MIN_VARIANCE_SHARE = 1e-3  # share of an input's variance that answers to innovations, from which on a loop counts
+MIN_VARIANCE_SHARE = 1e-3  # share of an input's variance that responds to innovations, from which on a loop counts
 NEW = 0.01  # the same as a share of what is new in the input
 # squared difference of an input from itself a period later, relative to its power, below which it counts as periodic
 REPEATS = 1e-4
@@ -83,7 +83,7 @@ class Feedback:
 
 
 def detect_feedback(records: Sequence[Record]) -> Feedback:
-    """Tell whether the inputs answer to the outputs.
+    """Test whether the inputs respond to the outputs.
 
     Args:
         records: Inputs and outputs as deviations from their means.
@@ -123,7 +123,7 @@ def _affordable(records: Sequence[Record], lags: int) -> bool:
 
 
 def _innovations(records: Sequence[Record], lags: int) -> list[np.ndarray]:
-    """Return one-step errors of an ARX model that sees inputs to come (N - lags - LEADS, p), one array a record."""
+    """Return one-step errors of an ARX model that uses future inputs (N - lags - LEADS, p), one array per record."""
     rows = [np.hstack([stack_lags(r.y[:-LEADS], lags), stack_lags(r.u, lags + LEADS, 0)]) for r in records]
     ys = [r.y[lags:-LEADS] for r in records]
     basis = _orthonormal(np.vstack(rows))
@@ -133,7 +133,7 @@ def _innovations(records: Sequence[Record], lags: int) -> list[np.ndarray]:
 
 
 def _answers(records: Sequence[Record], innovations: list[np.ndarray], lags: int) -> list[tuple[float, float, float]]:
-    """Return by input the p-value, and the share of its variance, and of its own news, that past innovations foretell."""
+    """Return for each input the p-value, and the share of its variance and of its innovation that past innovations predict."""
     own, extra, target = [], [], []
     for r, e in zip(records, innovations, strict=True):
         start = r.n_samples - len(e) + lags  # first sample with `lags` innovations behind it
@@ -151,7 +151,7 @@ def _answers(records: Sequence[Record], innovations: list[np.ndarray], lags: int
         if free < 10 or left <= 1e-18 * float(u @ u):
             found.append((1.0, 0.0, 0.0))
             continue
-        excess = max(gained - (left - gained) * more.shape[1] / free, 0.0)  # chance alone gains something too
+        excess = max(gained - (left - gained) * more.shape[1] / free, 0.0)  # subtract the gain expected by chance
         statistic = gained / more.shape[1] / max((left - gained) / free, 1e-300)
         p_value = float(fisher.sf(statistic, more.shape[1], free))
         found.append((p_value, excess / float(u @ u), excess / left))
@@ -170,7 +170,7 @@ def _orthonormal(x: np.ndarray) -> np.ndarray:
 
 
 def _repeats(u: np.ndarray) -> bool:
-    """Tell whether the inputs are periodic within the record, up to a trace."""
+    """Return whether the inputs are periodic within the record, up to a small error."""
     n = len(u)
     x = u - u.mean(axis=0)
     spectrum = np.abs(np.fft.rfft(x, 2 * n, axis=0)) ** 2
@@ -189,14 +189,14 @@ EXCITED_SHARE = 0.05
 """Power density over its maximum from which on a band counts as excited (-13 dB): folded frequencies lie below."""
 TAPER_SHARE = 0.3  # share of the excited band over which W falls to zero at its edges
 MAX_LEAK = 0.1
-"""Of a lag's standard deviation: what the path from input to output may put there through the kernel of W^2."""
+"""Largest contribution of the path from input to output through the kernel of W^2, in standard deviations of a lag."""
 KERNEL_LEVELS = (1e-3, 0.03)
 """Least and greatest height of that kernel over its peak at the first acausal lag that counts: a path left out by 30 dB over
 the noise, and one that is not seen."""
 SPANS = (10, 30, 100)
-"""Acausal lags that are added up, in samples: controllers answer at once, structures ring on. Longer spans
-add chance only: of 20 loops of gain 3 in 6 s, sums of 30 lags show 16 to 19 at 0.001, sums of 300 lags 1 to 5."""
-MIN_ACAUSALITY_SAMPLES, MAX_ACAUSALITY_SAMPLES = 400, 60_000  # samples needed, and looked at
+"""Acausal lags that are added up, in samples: controllers respond at once, structures decay slowly. Longer spans
+add only noise: of 20 loops of gain 3 in 6 s, sums of 30 lags show 16 to 19 at 0.001, sums of 300 lags 1 to 5."""
+MIN_ACAUSALITY_SAMPLES, MAX_ACAUSALITY_SAMPLES = 400, 60_000  # samples needed, and used at most
 ACAUSALITY_SIGNIFICANCE_LEVEL = 1e-3
 """p-value below which a loop was closed: at most one false alarm in a thousand open-loop tests."""
 

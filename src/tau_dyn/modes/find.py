@@ -1,4 +1,4 @@
-r"""Resonances from vibration logs: one call from columns of a log to modes with uncertainty, a model, and how far to trust it.
+r"""Resonances from vibration logs: one call from columns of a log to modes with uncertainty and a validated model.
 
 The steps, in order: records are prepared (`record.py`). A method is tried, for which a delay (`delay.py`) and an order
 (`order.py`) are chosen from first models (`methods.py`). Its residuals are tested for feedback (`feedback_tests.py`).
@@ -70,13 +70,13 @@ MAX_REQUESTED_ORDER = 200  # states; a dense model of more takes minutes and fit
 MAX_REQUESTED_DELAY = 10_000  # samples
 PULSE_GAIN = 0.1  # share by which a delay must lower the residual of pulse tests to be accepted
 MAX_ROUNDS, FEW_ROUNDS = 40, 15
-"""Rounds of refinement; few for models of many free numbers, which begin at a refined trial, and for pulse tests, which can
-hold more modes than a model and then creep."""
+"""Rounds of refinement; few for models of many free numbers, which begin at a refined trial, and for pulse tests, which
+can hold more modes than a model and then converge slowly."""
 POSSIBLE = 0.2  # p-value below which feedback cannot be excluded, and standard errors allow for it
 MAX_LOOP_GAIN = 10.0  # loop gains beyond it are rare within a resonance, and the number would not be informative
 WORST_RATIO = 1.15
-"""Simulation error of `pbsid` over that of `n4sid` up to which it is believed under feedback: an open-loop fit takes a share of
-a disturbance that comes back through the input. A judgement, not calibrated by a study."""
+"""Simulation error of `pbsid` over that of `n4sid` up to which it is accepted under feedback: an open-loop fit also fits a
+share of a disturbance that returns through the input. A judgement, not calibrated by a study."""
 MIN_RELATIVE_ERROR = 0.1
 """Simulation error over the outputs' size below which disturbances are too small for prediction errors to do better."""
 MAX_ERROR_RATIO = 0.98
@@ -305,7 +305,7 @@ class MethodCandidate:
 
 
 def _mean_size(errors: Sequence[np.ndarray]) -> float:
-    """Return the geometric mean over columns of root mean squares; infinite where one ran away."""
+    """Return the geometric mean over columns of root mean squares; infinite if one diverges."""
     power = compute_mean_squares(errors)
     return float(np.exp(0.5 * np.mean(np.log(np.maximum(power, 1e-300))))) if np.isfinite(power).all() else np.inf
 
@@ -361,7 +361,7 @@ def settle(
 
 
 def _describe_limit(gain: float) -> str:
-    """Return which loop gain the acausality test would have shown, as the end of a sentence."""
+    """Return the detection limit of the acausality test (loop gain), as the end of a sentence."""
     if np.isnan(gain):
         return ""
     if gain > MAX_LOOP_GAIN:
@@ -394,7 +394,7 @@ def choose_error_kind(
 def _refine_best(
     data: PreparedRecords, best: MethodCandidate, limit: TimeLimit, *, alone: bool
 ) -> tuple[RefinedModel, str]:
-    """Return the most likely model of the order, and how it was had; further starts are tried where one does not converge."""
+    """Return the most likely model of the order and its method; further starts are tried if one does not converge."""
     method, delay, order, taken = best.method, best.late.delay, best.states.order, best.states.taken
 
     def begin(name: str) -> StateSpace:
@@ -450,7 +450,7 @@ def _is_sound(made: RefinedModel) -> bool:
 
 
 def _count_rounds(data: PreparedRecords, order: int) -> int:
-    """Return how many rounds of refinement a model is given."""
+    """Return the maximum number of refinement steps for a model."""
     width = data.train[0].u.shape[1] + data.train[0].y.shape[1]
     return FEW_ROUNDS if data.kind == "impulse" or order * width > MANY_NUMBERS else MAX_ROUNDS
 

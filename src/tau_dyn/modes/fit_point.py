@@ -78,9 +78,9 @@ def build_columns(form: ModalForm, x0: np.ndarray, record: Record, chunk: int = 
 class DerivativeMaps:
     """Derivatives of the outputs with respect to the form's full vector, then Re and Im of each mode's first state.
 
-    Poles, input shapes and first states move all outputs, by one complex column each: `dy_o / d(shared[a]) = real[o, a]
-    * Re column + imaginary[o, a] * Im column`. Entries of c and D move one output each, in the same way for every
-    output: `dy_o / d(own[o, b]) = columns @ own_map[:, b]`.
+    Poles, input shapes and first states move all outputs, by one complex column each:
+    `dy_o / d(shared[a]) = real[o, a] * Re column + imaginary[o, a] * Im column`. Entries of c and D move one output
+    each, in the same way for every output: `dy_o / d(own[o, b]) = columns @ own_map[:, b]`.
 
     Attributes:
         size: Numbers of the full vector and of the first states.
@@ -169,7 +169,7 @@ class FittedForm:
 
     @property
     def loss(self) -> float:
-        """Log det of that covariance; infinite where the model runs away."""
+        """Log det of that covariance; infinite if the model diverges."""
         if not np.isfinite(self.squares).all():
             return np.inf
         sign, value = np.linalg.slogdet(self.covariance)
@@ -283,7 +283,7 @@ def assemble_normal_equations(point: FitPoint, free: np.ndarray, weight: np.ndar
     """Assemble the normal equations.
 
     Args:
-        point: Where.
+        point: The point.
         free: Which numbers of the model's full vector are free (size,).
         weight: Weight between outputs (p, p); None takes the inverse covariance of the errors.
     """

@@ -31,18 +31,18 @@ from tau_dyn.modes.subspace import choose_default_horizon, compress_subspace_dat
 MAX_BLOCK_ROWS = 100  # block rows
 MAX_COLUMNS = 3000  # columns over all inputs or decays
 PULSE_OVER = 0.02  # of its largest magnitude: below it the pulse counts as over
-HEARD = 0.8  # of a decay's energy, twice that time is looked at: quick modes drown in longer ones
+HEARD = 0.8  # of a decay's energy; twice that time is used: fast modes are hidden by noise in longer ones
 
 
 @dataclass(frozen=True, eq=False)
 class Realisation:
-    """What all orders share.
+    """The decomposition that all orders share.
 
     Attributes:
         U: Left singular vectors of the Hankel matrix.
         values: Singular values.
         shifted: U' H(1) V.
-        start: V' of the first column block: what B follows from.
+        start: V' of the first column block, from which B follows.
         p: Number of outputs.
     """
 
@@ -146,7 +146,7 @@ def decompose_pulse_tests(records: Sequence[Record], *, delay: int = 0) -> EraFa
 
     Raises:
         CannotAnswer: A record's input never comes to rest.
-        InputError: What follows the pulses is too short.
+        InputError: The records after the pulses are too short.
     """
     scales = Scales.of(records)
     ready = tuple(record.aligned(delay).scaled(scales) for record in records)
@@ -206,7 +206,7 @@ def reduce_order(model: StateSpace, order: int) -> StateSpace:
 
 
 METHODS = ("n4sid", "pbsid", "arx", "era")
-ARX_LAGS = 60  # lags of the long ARX model, where the data can pay for them
+ARX_LAGS = 60  # lags of the long ARX model, if the data suffice for them
 SLOWEST = 1 - 1e-6  # largest magnitude of a pole that a first model may have
 
 Start = Callable[[int], StateSpace]
@@ -293,7 +293,7 @@ def stabilise_poles(model: StateSpace) -> StateSpace:
 
 
 def _lags(records: Sequence[Record], highest: int) -> int:
-    """Return how many lags the samples can pay for: ten samples an unknown, and never fewer than the order needs."""
+    """Return the number of lags: at least ten samples per unknown, and never fewer lags than the order needs."""
     p, m = records[0].y.shape[1], records[0].u.shape[1]
     paid = sum(r.n_samples for r in records) // (10 * (p + m))
     needed = -(-highest // p)

@@ -41,11 +41,11 @@ class Mode:
 
     Attributes:
         frequency_hz: Undamped natural frequency [Hz].
-        damping_ratio: Part of critical damping.
+        damping_ratio: Damping over critical damping.
         frequency_stderr: Standard error [Hz]; nan where not known.
         damping_stderr: Standard error; nan where not known.
         shape: Outputs of the mode (p,) complex, the largest of them 1, in the record's own units.
-        correlation: Between the errors of frequency and damping; nan where not known.
+        correlation: Correlation between the errors of frequency and damping; nan if not known.
     """
 
     frequency_hz: float

@@ -143,7 +143,7 @@ def build_layout(form: ModalForm) -> ModalLayout:
 
 
 def free_numbers(form: ModalForm, direct: np.ndarray) -> np.ndarray:
-    """Say which numbers of the full vector are free (size,), with the entries of D in `direct` (p, m)."""
+    """Return which numbers of the full vector are free (size,), with the entries of D in `direct` (p, m)."""
     layout = build_layout(form)
     free = np.ones(layout.size, dtype=bool)
     for imaginary in (layout.pole[:, 1:], layout.c[:, 1], layout.b[:, 1]):

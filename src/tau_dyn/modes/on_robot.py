@@ -52,7 +52,7 @@ class Skeleton:
 
 @dataclass(frozen=True, eq=False)
 class MechanismFigure:
-    """A robot whose springs may move, and what of it is drawn: joints and frames, link by link."""
+    """A robot whose springs may move, with the joints and frames to draw, link by link."""
 
     robot: Robot
     solver: LoopSolver
@@ -78,7 +78,7 @@ class MechanismFigure:
         return np.array([self.home[j] for j in self.robot.actuated])
 
     def frame(self, place: str) -> int | None:
-        """Return the frame that a place's name means."""
+        """Return the frame that a place's name denotes."""
         if place == "tool":
             return self.robot.tool_frame
         model = self.robot.model

@@ -259,7 +259,7 @@ def _correlate_blocks(records: Sequence[Record], lags: int) -> tuple[np.ndarray,
 
 @dataclass(frozen=True, eq=False)
 class _Subspace:
-    """What models of all orders need: products of the singular vectors without their last or first p rows, and the first p."""
+    """Data for models of all orders: products of the singular vectors without the last or first p rows, and the first p."""
 
     normal: np.ndarray
     shifted: np.ndarray
@@ -338,7 +338,7 @@ def _select_stable_modes(found: dict[int, tuple[Mode, ...]]) -> tuple[Mode, ...]
 
 
 def _known(mode: Mode) -> bool:
-    """Tell whether a mode is damped like one of a structure, and its frequency known."""
+    """Return whether a mode is damped like one of a structure and its frequency is known."""
     return mode.damping_ratio < MAX_DAMPING and mode.frequency_stderr < MAX_FREQUENCY_STDERR * mode.frequency_hz
 
 
@@ -369,7 +369,7 @@ def _take(chain: Sequence[tuple[int, Mode]]) -> Mode:
 
 
 def _same(a: Mode, b: Mode) -> bool:
-    """Tell whether two orders hold the same mode: frequency and shape (van der Auweraer & Peeters 2004)."""
+    """Return whether two orders hold the same mode: frequency and shape (van der Auweraer & Peeters 2004)."""
     if abs(a.frequency_hz - b.frequency_hz) > FREQUENCY_TOLERANCE * a.frequency_hz:
         return False
     inner = abs(np.vdot(a.shape, b.shape)) ** 2

@@ -45,26 +45,26 @@ from tau_dyn.results import Brief
 SELECT_SHARE = 0.25  # of the training data on which orders are compared
 MAX_SAMPLES = 6_000  # samples that the orders are compared on
 PULSE = 500  # samples of each pulse that are kept in any case
-MAX_ORDER = 60  # highest order that is looked at unless one is asked for: thirty modes in the band of one test
+MAX_ORDER = 60  # highest order that is tried unless one is requested: thirty modes in the band of one test
 MAX_PREDICTED_ORDER = 24
 """The same where one-step predictions are compared, whose first models cost a factorisation each."""
-SCAN_SHARE = 0.6  # of a time limit after which no further first model is looked at
-COARSE_RATIO = 1.3  # of an order to the one before it in the first look at orders above the small ones
+SCAN_SHARE = 0.6  # of a time limit after which no further first model is tried
+COARSE_RATIO = 1.3  # of an order to the one before it in the coarse scan of orders above the small ones
 SMALL = 8  # up to this order all even ones below are refined, which costs little and fills the stabilisation diagram
 BEYOND = 4  # orders that are refined above the leading one: a diagram needs them, a choice does not
 NEIGHBOURS = 4
 """States by which a model may differ, whose modes standard errors have to allow for if it simulates as well."""
 MAX_REFINED_MODELS = 14
-"""Models that are refined to compare orders; a walk that has not ended by then stays where it is."""
+"""Models that are refined to compare orders; an unfinished search then keeps its current order."""
 MANY_NUMBERS = 100
 """Free numbers of a model beyond which standard errors of trials are left out and fewer rounds are spent."""
 MAX_ITERATIONS = 4  # Gauss-Newton steps for a candidate order; enough to rank it
 TOLERANCE = 2.0  # standard errors of the paired difference within which the smaller order is as good
 MAX_BEHIND_WHITE = 4.0
-"""The same for an order that leaves white noise and that BIC takes."""
+"""The same for an order with white residuals that BIC selects."""
 PATIENCE = 16  # orders without any gain after which the scan stops, once it has explained most of what moves
 MIN_WHITE_P_VALUE = 0.001  # over all outputs, from which on the residuals count as white
-GOOD_FIT_PERCENT = 80.0  # fit from which on patience counts: modes that come in late show only when most of them are in
+GOOD_FIT_PERCENT = 80.0  # fit from which on `PATIENCE` applies: modes that enter late appear only after most others
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,8 +117,8 @@ class OrderChoice(Brief):
         trials: All orders that were tried, lowest first.
         by: Order that each criterion alone would select: `aic`, `bic`, `simulation`.
         why: The reason, as a sentence.
-        chosen: Whether it was chosen here; False where it was asked for.
-        limit: The highest order that was looked at, where more states may help; 0 where it does not bind.
+        chosen: Whether it was chosen here; False if it was requested.
+        limit: The highest order that was tried, if more states may help; 0 if it does not bind.
     """
 
     order: int
@@ -255,9 +255,9 @@ class _Search:
         return row is best or (self.apart and compare_errors_paired(row.kept, best.kept) <= TOLERANCE)
 
     def scan(self, orders: Sequence[int]) -> list[_Row]:
-        """Return first models of orders, unrefined: a coarse look, then halves of the step below the one that is enough.
+        """Return first models of orders, unrefined: a coarse scan, then halved steps below the smallest sufficient order.
 
-        The coarse look stops where the data are explained and no order gains.
+        The coarse scan stops when the data are explained and no order improves the fit.
         """
         rows: list[_Row] = []
         coarse, tried = list(_thin(orders)), set[int]()
@@ -432,7 +432,7 @@ def select_parts(records: Sequence[Record]) -> tuple[list[Record], list[Record]]
 
 
 def _thin(orders: Sequence[int]) -> Iterator[int]:
-    """Yield the orders of the coarse look: all small ones, then steps of a third or so, and the last one."""
+    """Yield the orders of the coarse scan: all small ones, then steps of about a third, and the last one."""
     last = 0
     for order in orders:
         if order <= SMALL or order >= COARSE_RATIO * last or order == orders[-1]:

@@ -176,13 +176,13 @@ def build_records(
 
 TRAIN_SHARE = 0.7  # of each record; the rest is held out
 STEADY_STATE_SHARE = 0.2  # last share of a pulse's record, whose mean is the level that it decays to
-PULSE_SHARE = 0.03  # inputs that are away from rest for a smaller share of the time than this are pulses
+PULSE_SHARE = 0.03  # inputs that differ from rest for a smaller share of the time than this are pulses
 PULSE_LEAD = 30  # samples of rest kept before a pulse: more than any delay that is tried
 PULSE_ROOM = 100  # samples that a pulse's response needs, at least
 SAMPLES_PER_CHANNEL = 40  # training samples for each input and output; fewer do not suffice to choose a model
 PULSES = 10_000  # samples of all pulses together that are fitted to: the ends of long decays add little information
-MAX_REST_SAMPLES = 20_000  # samples in which rest is looked for at a record's begin
-LIVE_SHARE = 0.2  # of its standard deviation over the record: a channel that varies by more goes on
+MAX_REST_SAMPLES = 20_000  # samples at a record's begin in which rest is searched
+LIVE_SHARE = 0.2  # of its standard deviation over the record: a channel that varies by more is active
 STEP_TOLERANCE = 1e-3  # relative difference of sampling rates that counts as one rate
 
 
@@ -226,7 +226,7 @@ def prepare_records(
         logs: Logs to fit on.
         inputs: Columns that excite.
         outputs: Columns that respond.
-        holdout: Logs to judge on.
+        holdout: Logs for validation.
         references: Columns that a feedback loop was asked to follow.
 
     Raises:
@@ -293,7 +293,7 @@ def _is_pulses(record: Record) -> bool:
 
 
 def _list_dead_sensors(log: Log, inputs: Sequence[str], outputs: Sequence[str]) -> list[CodedWarning]:
-    """Return a warning for each output that keeps one value for long while the other channels go on."""
+    """Return a warning for each output that keeps one value for long while the other channels are active."""
     found = []
     for name in outputs:
         others = [log.channels[c] for c in (*inputs, *outputs) if c != name and c in log.channels]
@@ -417,8 +417,9 @@ def _refuse_records(train: Sequence[Record], held: Sequence[Record], channels: i
 def estimate_operating_point(record: Record) -> tuple[np.ndarray, np.ndarray]:
     """Return inputs (m,) and outputs (p,) at rest: the inputs' mean, and the outputs that go with it.
 
-    Means of both do not belong together, because outputs still ring at a record's ends; what that leaves would be taken
-    for a slow pole. A long ARX model with a constant gives the outputs at rest: y_t = c + sum A_k y_{t-k} + sum B_k u_{t-k}.
+    The means of inputs and outputs are not consistent, because outputs still oscillate at a record's ends; the
+    difference would be modelled as a slow pole. A long ARX model with a constant gives the outputs at rest:
+    y_t = c + sum A_k y_{t-k} + sum B_k u_{t-k}.
     """
     u, y = record.u[:MAX_REST_SAMPLES], record.y[:MAX_REST_SAMPLES]
     mean_u, mean_y, spread = record.u.mean(axis=0), record.y.mean(axis=0), record.y.std(axis=0)

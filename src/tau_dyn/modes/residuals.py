@@ -39,7 +39,7 @@ PREDICTED = "prediction_error"
 def compute_residuals(model: StateSpace, records: Sequence[Record], kind: str = SIMULATED) -> list[np.ndarray]:
     """Return measured minus simulated, or minus predicted one step ahead, (N - delay, p) a record.
 
-    Initial states are estimated; the first `delay` samples answer to inputs before the record and are left out.
+    Initial states are estimated; the first `delay` samples respond to inputs before the record and are left out.
     """
     follow = simulate if kind == SIMULATED else lambda m, r: predict(m, r, 1)
     return [(r.y - follow(model, r))[model.delay :] for r in records]
@@ -56,7 +56,7 @@ def compute_mean_squares(errors: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def compute_log_det_loss(errors: Sequence[np.ndarray]) -> float:
-    """Return log det of the errors' covariance; infinite where a simulation ran away."""
+    """Return log det of the errors' covariance; infinite if a simulation diverges."""
     sigma = compute_covariance(errors)
     if not np.all(np.isfinite(sigma)):
         return float("inf")
@@ -65,7 +65,7 @@ def compute_log_det_loss(errors: Sequence[np.ndarray]) -> float:
 
 
 def measure_spread(errors: Sequence[np.ndarray]) -> float:
-    """Return the sum of the outputs' log mean squares: what fits an output at a time judge; infinite where one ran away."""
+    """Return the sum of the outputs' log mean squares, a loss that treats outputs separately; infinite if one diverges."""
     power = np.diag(compute_covariance(errors))
     return float(np.sum(np.log(np.maximum(power, 1e-300)))) if np.all(np.isfinite(power)) else float("inf")
 
@@ -83,8 +83,8 @@ def compute_aic_bic(loss: float, n_samples: int, k: int) -> tuple[float, float]:
 def compare_errors_paired(errors: Sequence[np.ndarray], best: Sequence[np.ndarray], blocks: int = 20) -> float:
     """Return by how many standard errors some errors are larger than the best ones on the same samples.
 
-    Every output is weighed by its best errors. Blocks of time are compared in pairs, so neither colour nor what
-    both miss counts; and in ratios, so that a decay's loud beginning does not hide the rest.
+    Every output is weighed by its best errors. Blocks of time are compared in pairs, so neither colour nor common
+    errors count, and in ratios, so that the large amplitudes at the beginning of a decay do not hide the rest.
     """
     weight = 1 / np.maximum(np.diag(compute_covariance(best)), 1e-300)
     length = max(20, sum(len(e) for e in best) // blocks)
@@ -163,7 +163,7 @@ def fit_noise_model(errors: Sequence[np.ndarray]) -> NoiseModel:
 
 Z99 = float(norm.ppf(0.995))
 LAGS = 25  # lags of the correlation tests, as usual in the field
-PASS = 0.01  # a curve passes where chance alone would look worse more often than this
+PASS = 0.01  # smallest p-value with which a curve passes
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +190,7 @@ class FitQuality:
 
 @dataclass(frozen=True, eq=False)
 class CorrelationTest(Brief):
-    """One correlation curve, its band, and the judgement of all of it.
+    """One correlation curve, its band, and the test of the whole curve.
 
     Attributes:
         output: Output whose residual is tested.
@@ -198,8 +198,8 @@ class CorrelationTest(Brief):
         lags: Lags in samples (L,).
         values: Correlation at these lags (L,), between -1 and 1.
         band: Half width of the 99 % band.
-        p_value: How often chance alone would make the judged lags look worse.
-        judged: Lags that count (L,) bool; the others are only drawn.
+        p_value: p-value of the tested lags.
+        judged: Tested lags (L,) bool; the others are only drawn.
     """
 
     output: str
@@ -236,12 +236,12 @@ def fit_of(measured: Sequence[np.ndarray], simulated: Sequence[np.ndarray]) -> n
 def check_whiteness(
     errors: Sequence[np.ndarray], outputs: Sequence[str], lags: int = LAGS
 ) -> tuple[CorrelationTest, ...]:
-    """Test whether prediction errors have a memory: one test an output (Ljung-Box).
+    """Test whether prediction errors are autocorrelated: one test per output (Ljung-Box).
 
     Args:
         errors: One-step prediction errors, one (N, p) a record.
         outputs: Names of the outputs.
-        lags: How many lags are looked at.
+        lags: Number of lags.
     """
     tests = []
     for k, name in enumerate(outputs):
@@ -304,7 +304,7 @@ def _colour(own_e: np.ndarray, own_u: np.ndarray, n: int) -> np.ndarray:
 
 
 def _solve(column: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solve with a Toeplitz covariance; inputs that repeat themselves make it singular, and a trace of white noise mends that."""
+    """Solve with a Toeplitz covariance; a small white-noise term keeps it regular for periodic inputs."""
     column = column.copy()
     column[0] *= 1 + 1e-6
     try:

@@ -7,9 +7,9 @@ output's power that all inputs explain together. Under feedback `S_yu` mixes pla
 reference r known, `H = S_yr S_ur^-1` does not (Pintelon & Schoukens 2012, 2.6). In pulse tests, whose response decays
 within the record, each record is one segment and no window is needed. Noise in the inputs pulls H towards zero.
 
-For the response to a unit pulse h, a driven record is divided by its inputs in the frequency domain, with a floor where they
-hold little power. The model's simulation of the same inputs goes through the same division, so that the floor, the inputs' band
-and the record's ends do the same to both and only the difference between data and model is left to see.
+For the response to a unit pulse h, a driven record is divided by its inputs in the frequency domain, with a floor where
+they hold little power. The model's simulation of the same inputs is divided in the same way, so that the floor, the
+inputs' band and the record's ends affect both equally and only the difference between data and model remains.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from tau_dyn.modes.state_space import StateSpace, simulate
 from tau_dyn.results import Brief
 
 STRETCHES = 5
-"""Half-overlapping stretches besides one for each input: fewer leave too much scatter, more blur light damping."""
+"""Half-overlapping segments in addition to one for each input: fewer leave too much scatter, more blur light damping."""
 MAX_WINDOW_SAMPLES = 32_768  # of a window; finer lines than its are not drawn
 RESOLUTION = 6.0  # lines within the width of the narrowest resonance
 
@@ -80,7 +80,7 @@ def estimate_empirical_response(
     power = np.real(np.einsum("fii->fi", syy))
     coherence = np.where(excited[:, None] & (power > 0), explained / np.maximum(power, 1e-300), np.nan)
     if n <= 2 * m and not looped:
-        coherence = np.full_like(coherence, np.nan)  # one stretch explains itself
+        coherence = np.full_like(coherence, np.nan)  # the coherence of a single segment is always one
     how = "one Fourier transform a pulse" if impulses else f"{n} half-overlapping stretches, Hann window"
     how += ", through the reference" if looped else ""
     return EmpiricalResponse(f, response, np.clip(coherence, 0, 1), excited, n, how)
@@ -155,7 +155,7 @@ def is_coherent(mode: Mode, seen: EmpiricalResponse, n_inputs: int) -> bool:
 
 
 TONE_LINES, AROUND_LINES = 2, 30
-"""Lines of a spectrum beside a frequency that belong to a tone, and that tell what lies around it."""
+"""Lines of a spectrum next to a frequency that belong to a tone, and lines that give the level around it."""
 MIN_TONE_RATIO = 300.0
 """Power of a tone over the median around it; the largest of a few lines of noise is seldom 20 times the median."""
 MAX_TONE_WIDTH = 3.0
@@ -204,7 +204,7 @@ class ImpulseResponses(Brief):
         t: (T,) [s].
         measured: (T, p, m).
         model: (T, p, m).
-        how: How the measured one was had, in words.
+        how: Description of the computation of the measured response.
         held_out: Whether from data that the model was not fitted to.
     """
 
@@ -275,7 +275,7 @@ def _of_pulses(model: StateSpace, records: Sequence[Record], held_out: bool) -> 
 
 
 def _length(model: StateSpace, modes: Sequence[Mode], n: int) -> int:
-    """Return how many samples to show: until the slowest mode has decayed, and some periods of the lowest at most."""
+    """Return the number of samples to show: until the slowest mode has decayed, and some periods of the lowest at most."""
     if not modes:
         return min(n // 2, 200)
     slowest = min(2 * np.pi * m.frequency_hz * max(m.damping_ratio, 1e-4) for m in modes)

@@ -52,10 +52,10 @@ class Nonlinearity:
 
     Attributes:
         suspected: Whether a power is significant and explains enough.
-        p_value: How often a linear structure would look more nonlinear, over all outputs and powers.
+        p_value: p-value over all outputs and powers, under the hypothesis of a linear structure.
         share: Share of the residual's variance that the power explains.
         output: The output concerned.
-        power: 2 where the response depends on its sign, 3 where on its size.
+        power: 2 if the response depends on its sign, 3 if on its size.
     """
 
     suspected: bool
@@ -137,7 +137,7 @@ class Modes(Shown):
 
     @property
     def judged(self) -> FitQuality:
-        """The fit that counts: held out where there is one."""
+        """The fit to be reported: of held-out data if there are any, else of training data."""
         return self.holdout or self.train
 
     def plot(self) -> Figure:
@@ -205,7 +205,7 @@ class Modes(Shown):
         return {"dt": m.dt, "delay": m.delay, **matrices, "noise": noise}
 
     def model_file(self, logs: Sequence[Mapping[str, str]]) -> ModelFile:
-        """Return the model with its columns and where it comes from, ready to be written.
+        """Return the model with its columns and provenance, ready to be written.
 
         Args:
             logs: Path and hash of every log.
@@ -268,7 +268,7 @@ class OperationalModes(Shown):
         return plot_stability(hz, order, is_stable, [mode.frequency_hz for mode in self.modes])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the JSON result; what responses alone cannot give is null, with the reason."""
+        """Return the JSON result; quantities that responses alone cannot determine are null, with the reason."""
         return {
             "order": self.order,
             "delay_samples": None,

@@ -1,4 +1,4 @@
-"""What outputs measure, by the names of their columns: displacement, velocity or acceleration, and whether in g."""
+"""Quantities that outputs measure, from the names of their columns: displacement, velocity or acceleration, also in g."""
 
 from __future__ import annotations
 

@@ -141,7 +141,7 @@ def estimate_initial_state(model: StateSpace, record: Record, predictor: bool = 
 def predict(model: StateSpace, record: Record, k: int = 1) -> np.ndarray:
     """Return the outputs (N, p) predicted from measured outputs up to `k` samples before, and all inputs.
 
-    The first k rows rest on the initial state alone.
+    The first k rows depend on the initial state alone.
     """
     if k < 1:
         raise InputError("invalid_value", f"predictions look at least one sample ahead, not {k}")
@@ -190,7 +190,7 @@ def delay_inputs(model: StateSpace, record: Record) -> np.ndarray:
 
 
 def _predictor(model: StateSpace, u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A - K C and what drives it."""
+    """A - K C and its input."""
     return model.A - model.K @ model.C, u @ (model.B - model.K @ model.D).T + y @ model.K.T
 
 
@@ -212,13 +212,13 @@ _MATRICES = ("A", "B", "C", "D", "K")
 
 @dataclass(frozen=True, eq=False)
 class ModelFile:
-    """A model, and the columns that it goes between.
+    """A model with the names of its input and output columns.
 
     Attributes:
-        model: The model; it speaks of deviations from the operating point.
+        model: The model, for deviations from the operating point.
         inputs: Names of the inputs.
         outputs: Names of the outputs.
-        provenance: Where it comes from.
+        provenance: Origin of the model.
     """
 
     model: StateSpace

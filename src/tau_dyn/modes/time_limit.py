@@ -11,11 +11,11 @@ from tau_dyn.message_codes import CodedWarning
 
 @dataclass(eq=False)
 class TimeLimit:
-    """How long a search may go on.
+    """The time limit of a search.
 
     Attributes:
         seconds: Wall time [s]; None without a limit.
-        clock: Gives seconds.
+        clock: Function that returns the time [s].
         left_out: Skipped steps, in the order in which they were skipped.
     """
 

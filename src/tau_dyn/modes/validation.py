@@ -6,8 +6,8 @@ inputs,
     A(q) e_t = B(q) u_t + C(q) y_t + T(q) y_t^k + w_t,      k = 2, 3,      e.g. Duffing:  e = -G k3 y^3 + v
 
 has T = 0 where the structure is linear, in open and in closed loop: w is new at t, and everything else is past. A and B
-model colour and linear dynamics that the model lacks. An F-test decides whether T differs from zero; the variance of `T
-/ A y^k` over that of e decides whether it matters. References: Billings & Voon 1986; Söderström & Stoica 1989, 11.3
+model colour and linear dynamics that the model lacks. An F-test decides whether T differs from zero; the variance of
+`T / A y^k` over that of e decides whether it matters. References: Billings & Voon 1986; Söderström & Stoica 1989, 11.3
 (nested model structures).
 """
 
@@ -171,7 +171,7 @@ def _tests(
 
 
 def _simulation_errors(model: StateSpace, records: Sequence[Record]) -> list[np.ndarray]:
-    """Return errors of simulations, without those that the noise of a hammer's force explains."""
+    """Return errors of simulations, without the part that the noise of a hammer's force explains."""
     errors = compute_residuals(model, records)
     aligned = [r.aligned(model.delay) for r in records]
     return remove_input_noise(errors, aligned, model.markov(max(r.n_samples for r in aligned)))
@@ -224,7 +224,7 @@ def _traces(model: StateSpace, data: PreparedRecords) -> tuple[Trace, ...]:
 POOR_FIT = 50.0  # per cent of an output's standard deviation
 MAX_RELATIVE_DAMPING_STDERR = 0.3
 """Standard error of a damping ratio over the ratio itself, beyond which it is hardly known."""
-MAX_FIT_DROP_PERCENT = 10.0  # per cent from training to held-out data; more is overfitting or another machine
+MAX_FIT_DROP_PERCENT = 10.0  # per cent from training to held-out data; more indicates overfitting or a changed machine
 MIN_RECORD_PERIODS = 10  # of the slowest mode; fewer leave its damping open
 
 
@@ -286,13 +286,13 @@ MIN_VARIANCE_SHARE = 0.1
 INPUT_LAGS = 30  # lags of B
 RESPONSE_LAGS = 2  # lags of C
 POWER_LAGS = 5  # lags of T
-MAX_NONLINEARITY_SAMPLES = 10_000  # samples looked at
+MAX_NONLINEARITY_SAMPLES = 10_000  # samples used
 
 
 def detect_nonlinearity(
     errors: Sequence[np.ndarray], simulated: Sequence[np.ndarray], u: Sequence[np.ndarray], outputs: Sequence[str]
 ) -> Nonlinearity | None:
-    """Test the longest record; None where it is too short.
+    """Test the longest record; None if it is too short.
 
     Args:
         errors: Measured minus simulated outputs, one (N, p) a record.

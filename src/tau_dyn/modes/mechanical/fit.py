@@ -29,7 +29,7 @@ from tau_dyn.modes.mechanical.estimation import (
 )
 from tau_dyn.modes.mechanical.structure import STEP, Evidence, Places, SecondOrder
 
-MAX_RELATIVE_STDERR = 0.3  # standard error of a relative change of M or K beyond which the matrix is not known
+MAX_RELATIVE_STDERR = 0.3  # standard error of a relative change of M or K beyond which the matrix is not determined
 _SURE, _VAGUE = 3.0, 0.25
 """Standard errors within which a misfit at the modes may be chance, and the part of the response beyond which it may not."""
 SIGNIFICANCE_LEVEL = 1e-3
@@ -49,7 +49,7 @@ class Agreement:
     misfit: float
 
     def both(self, other: Agreement) -> Agreement:
-        """Return where this and another agreement hold."""
+        """Return the band in which this and another agreement hold."""
         band = None
         if self.valid_hz and other.valid_hz:
             band = (max(self.valid_hz[0], other.valid_hz[0]), min(self.valid_hz[1], other.valid_hz[1]))
@@ -75,8 +75,8 @@ def find_valid_band(
         structure: M, D, K.
         places: Which degrees of freedom the model's inputs and outputs belong to.
         modes_hz: Modes that the band must hold (k,) [Hz].
-        span_hz: Frequencies to look at.
-        tolerance: Relative error that is good enough whatever the uncertainty.
+        span_hz: Frequencies to compare.
+        tolerance: Relative error that is accepted whatever the uncertainty.
     """
     f = np.unique(np.concatenate([np.geomspace(*span_hz, 160), *(modes_hz * (1 + d) for d in (-0.01, 0.0, 0.01))]))
     s = 2j * np.pi * f
@@ -138,7 +138,7 @@ def get_covariance(target: Target, structure: SecondOrder, factor: np.ndarray | 
 
 
 def compute_misfit_p_value(target: Target, structure: SecondOrder) -> float:
-    """Return the probability of a misfit at least as large if the model's truth is this structure; small speaks against it."""
+    """Return the p-value of the misfit under the hypothesis that this structure is true."""
     free = len(target.T) - 3 * target.places.n * (target.places.n + 1) // 2
     return float(chi2.sf(np.sum(target.misfit(structure) ** 2), free)) if free > 0 else 1.0
 
@@ -285,7 +285,7 @@ class _Units:
 def _target(
     evidence: Evidence, places: Places, s: np.ndarray, units: _Units, weight: np.ndarray | None
 ) -> tuple[Target, np.ndarray | None]:
-    """Return what to fit, and the factor (F, p, m, r) of its covariance where there is one."""
+    """Return the target of the fit, and the factor (F, p, m, r) of its covariance if available."""
     H = units.divide(evidence.at.response(s), places)
     factor = None
     if evidence.has_covariance:

@@ -1,8 +1,9 @@
-"""M, D and K from a black-box model: `(M s^2 + D s + K) X(s) = B U(s)`, and whether they mean anything.
+"""M, D and K from a black-box model: `(M s^2 + D s + K) X(s) = B U(s)`, and their validity.
 
-The route: the model's response in continuous time -> a conic program -> maximum likelihood with the model's own covariance -> a
-verdict. Forces and displacements keep the user's units, so M, D, K are in force per acceleration, velocity and displacement.
-References: thesis 6.3 (its form (6.14), fitted there without constraints); De Angelis, Lus, Betti & Longman 2002.
+The steps: the model's response in continuous time -> a conic program -> maximum likelihood with the model's own
+covariance -> a status. Forces and displacements keep the user's units, so M, D, K are in force per acceleration,
+velocity and displacement. References: thesis 6.3 (its form (6.14), fitted there without constraints); De Angelis, Lus,
+Betti & Longman 2002.
 """
 
 from __future__ import annotations
@@ -40,9 +41,9 @@ from tau_dyn.modes.mechanical.structure import (
 from tau_dyn.modes.state_space import StateSpace
 
 STATUSES = ("identified", "condensed", "not_identifiable")
-"""What M, D, K may be worth, best first."""
+"""Possible status of M, D, K, best first."""
 _BOTTOM, _TOP = 0.05, 0.45
-"""Band that is looked at by itself: from this part of the first resonance to this part of the sampling rate."""
+"""Default band: from this part of the first resonance to this part of the sampling rate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +267,7 @@ def _stand_in(task: Task, reason: str) -> Mechanical:
 
 
 def _judged(fit: MechanicalFit, task: Task, status: str, why: str) -> Mechanical:
-    """Return the result a fit deserves."""
+    """Return the result of a fit with its status."""
     n, worst = task.places.n, "M" if fit.unknown["M"] > fit.unknown["K"] else "K"
     if not np.isfinite(fit.unknown[worst]):
         return _refused(f"no information: some direction of {worst} leaves no trace in the response")

@@ -8,9 +8,9 @@ collocated, because the residue of mode i is `psi_sensed psi_driven'` with one a
 
 With inputs held over a step, each mode of `x_{k+1} = z x_k + b u_k` is `x' = lambda x + b lambda / (z - 1) u` with
 `lambda = log(z) / dt`, exactly. A force that is a straight line between samples acts through both ends of a step: with
-`beta = b lambda^2 dt / (z - 1)^2` it drives `x' = lambda x + beta u`, and the sampled states are those less `g u`, `g =
-beta (z - 1 - lambda dt) / (lambda^2 dt)`, so that the direct part is less by `C g`. One sampled model thus represents
-two structures, one of which fits.
+`beta = b lambda^2 dt / (z - 1)^2` it drives `x' = lambda x + beta u`, and the sampled states are those less `g u`,
+`g = beta (z - 1 - lambda dt) / (lambda^2 dt)`, so that the direct part is less by `C g`. One sampled model thus
+represents two structures, one of which fits.
 
 Uncertainty is passed on as a factor `F` with `F F'` the covariance of the response at chosen points; the result does
 not depend on the parametrisation of the model. References: De Angelis, Lus, Betti & Longman 2002; Ewins 2000, 2.8.
@@ -29,7 +29,7 @@ from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.modes.state_space import MAX_RESONANT_DAMPING, StateSpace
 
 OUTPUTS = ("displacement", "velocity", "acceleration")
-"""What a sensor may measure; the place in the list is the order of its time derivative."""
+"""Quantities that a sensor may measure; the index is the order of the time derivative."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,7 +277,7 @@ class Continuous:
 
 
 HELD, LINEAR = "held", "linear"
-"""What an input does between samples: stays as it was, or follows a straight line."""
+"""Course of an input between samples: held constant, or a straight line."""
 
 
 def convert_to_continuous(model: StateSpace, derivative: int = 0, hold: str = HELD) -> Continuous:
@@ -286,10 +286,10 @@ def convert_to_continuous(model: StateSpace, derivative: int = 0, hold: str = HE
     Args:
         model: The sampled model.
         derivative: How often its outputs are differentiated.
-        hold: What inputs do between samples: `held` or `linear`.
+        hold: Course of the inputs between samples: `held` or `linear`.
 
     Raises:
-        CannotAnswer: All poles lie where no continuous-time system puts one.
+        CannotAnswer: No pole has a counterpart in continuous time.
     """
     z, V = np.linalg.eig(model.A)
     z, left, right = z.astype(complex), model.C @ V, np.linalg.solve(V.astype(complex), model.B)
