@@ -409,7 +409,7 @@ def _refine_best(
     if taken is None or rounds > FEW_ROUNDS:
         alone = alone or best.kind == PREDICTED or rounds == FEW_ROUNDS
         names = (method,) if alone else dict.fromkeys((method, "n4sid", "arx"))
-        # a refined trial began where its method does
+        # a refined trial has the same start as its method
         starts += [(name, partial(begin, name)) for name in names if taken is None or alone or name != method]
     found: list[tuple[float, str, RefinedModel]] = []
     fault: Exception | None = None
@@ -482,7 +482,7 @@ def _widen(
     feedback: Feedback,
     limit: TimeLimit,
 ) -> RefinedModel:
-    """Return the model with standard errors that allow for missing modes, and for feedback where it is possible."""
+    """Return the model with standard errors that allow for missing modes, and for feedback if it is possible."""
     pairs, taken = [], best.states.taken
     if taken is not None:
         others = [

@@ -265,7 +265,7 @@ def estimate_first_poles(
         method: `n4sid`, `pbsid`, `arx` or `era`; poles come from the subspace method, or from `era` for pulses.
         records: To fit on.
         delay: Whole samples by which the inputs act late.
-        horizon: Block rows of past and of future; fewer where the records are short.
+        horizon: Block rows of past and of future; fewer if the records are short.
         decays: For `era`, the decays as the longest delay leaves them: their poles are those of every delay.
     """
     if method == "era":

@@ -10,12 +10,12 @@ model that is large enough; modes that fit noise change from order to order. A m
 lower order has a mode within their joint uncertainty (and at least 1 % in frequency and 20 % in damping, as is usual),
 `frequency` if only the frequency agrees, and `new` otherwise (van der Auweraer & Peeters 2004).
 
-The covariance of an estimate assumes that its model holds the truth. Where another defensible model of the same data (a
-neighbouring order that simulates as well; the other method where feedback cannot be excluded) puts a mode elsewhere by d,
+The covariance of an estimate assumes that its model contains the truth. If another defensible model of the same data (a
+neighbouring order that simulates as well; the other method if feedback cannot be excluded) differs in a mode by d,
 
     s^2 = s_0^2 + max(0, d^2 - 4 |s_1^2 - s_0^2|)
 
-with s_1 the other's standard error: if both models hold the truth, the difference has the variance s_1^2 - s_0^2
+with s_1 the other's standard error: if both models contain the truth, the difference has the variance s_1^2 - s_0^2
 (Hausman 1978), and no term is added in 95 % of cases. The excess is model error and is added in full.
 """
 
@@ -42,8 +42,8 @@ class Mode:
     Attributes:
         frequency_hz: Undamped natural frequency [Hz].
         damping_ratio: Damping over critical damping.
-        frequency_stderr: Standard error [Hz]; nan where not known.
-        damping_stderr: Standard error; nan where not known.
+        frequency_stderr: Standard error [Hz]; nan if not known.
+        damping_stderr: Standard error; nan if not known.
         shape: Outputs of the mode (p,) complex, the largest of them 1, in the record's own units.
         correlation: Correlation between the errors of frequency and damping; nan if not known.
     """
@@ -78,7 +78,7 @@ def find_resonances(model: StateSpace, covariance: np.ndarray | None = None) -> 
     Args:
         model: The model. Real poles, and those whose damping ratio may reach 0.71, are no resonances and are left out:
             sensor filters and slow drifts have such poles.
-        covariance: Covariance of the full vector of its `build_modal_form` (`Layout`); None where not known.
+        covariance: Covariance of the full vector of its `build_modal_form` (`Layout`); None if not known.
     """
     form = build_modal_form(model)
     found = []
@@ -242,8 +242,8 @@ class StabilityPoint:
         order: Number of states of its model.
         frequency_hz: Undamped natural frequency [Hz].
         damping_ratio: Damping over critical damping.
-        frequency_stderr: Standard error [Hz]; nan where unknown.
-        damping_stderr: Standard error; nan where unknown.
+        frequency_stderr: Standard error [Hz]; nan if unknown.
+        damping_stderr: Standard error; nan if unknown.
         kind: `stable`, `frequency` or `new`.
     """
 

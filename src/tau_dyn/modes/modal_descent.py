@@ -63,7 +63,7 @@ def minimise(
 
 @dataclass(frozen=True, eq=False)
 class _Visit:
-    """A balanced realisation whose further inputs are initial states, and the point it is; None where it may not be visited."""
+    """A balanced realisation whose further inputs are initial states, and its point; None if it may not be visited."""
 
     model: StateSpace
     point: FitPoint | None

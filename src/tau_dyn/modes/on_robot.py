@@ -299,7 +299,7 @@ def _own(figure: MechanismFigure, places: dict[str, dict[int, int]], rest: list[
 
 
 def compute_mac(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the modal assurance criterion of two shapes (p,) complex; 0 where one is zero."""
+    """Return the modal assurance criterion of two shapes (p,) complex; 0 if one is zero."""
     size = float(np.vdot(a, a).real * np.vdot(b, b).real)
     return float(abs(np.vdot(a, b)) ** 2 / size) if size > 0 else 0.0
 

@@ -47,7 +47,7 @@ MAX_SAMPLES = 6_000  # samples that the orders are compared on
 PULSE = 500  # samples of each pulse that are kept in any case
 MAX_ORDER = 60  # highest order that is tried unless one is requested: thirty modes in the band of one test
 MAX_PREDICTED_ORDER = 24
-"""The same where one-step predictions are compared, whose first models cost a factorisation each."""
+"""The same if one-step predictions are compared, whose first models cost a factorisation each."""
 SCAN_SHARE = 0.6  # of a time limit after which no further first model is tried
 COARSE_RATIO = 1.3  # of an order to the one before it in the coarse scan of orders above the small ones
 SMALL = 8  # up to this order all even ones below are refined, which costs little and fills the stabilisation diagram

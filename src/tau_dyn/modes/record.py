@@ -24,7 +24,7 @@ class Record:
     """One stretch of inputs and outputs.
 
     Attributes:
-        u: Inputs (N, m); `m` may be 0 where only a response was measured.
+        u: Inputs (N, m); `m` is 0 if only a response was measured.
         y: Outputs (N, p).
         dt: Sampling step [s].
         inputs: Names of the inputs.

@@ -127,7 +127,7 @@ def _scale(s: np.ndarray) -> np.ndarray:
 
 
 def _divide(top: np.ndarray, bottom: np.ndarray, where: np.ndarray) -> np.ndarray:
-    """Return `top @ bottom^-1` at the frequencies where it makes sense, NaN elsewhere."""
+    """Return `top @ bottom^-1` at the frequencies of `where`, NaN elsewhere."""
     out = np.full(top.shape, np.nan + 0j)
     out[where] = np.swapaxes(np.linalg.solve(np.swapaxes(bottom[where], 1, 2), np.swapaxes(top[where], 1, 2)), 1, 2)
     return out
@@ -140,7 +140,7 @@ OVERLAP_SHARE = 0.75
 
 
 def is_coherent(mode: Mode, seen: EmpiricalResponse, n_inputs: int) -> bool:
-    """Return whether an output follows the inputs around a mode, by the median of its coherence there; True where unknown.
+    """Return whether an output follows the inputs around a mode, by the median of its coherence there; True if unknown.
 
     The multiple coherence of noise with m inputs in k stretches exceeds c with the probability (1 - c)^(k - m).
     """

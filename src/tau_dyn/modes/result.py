@@ -79,7 +79,7 @@ class Modes(Shown):
         model: The refined model.
         modes: Oscillating modes, slowest first, with standard errors.
         poles: All poles, with the uncertainty of those that oscillate.
-        zeros: Transmission zeros in the s plane [1/s]; empty where there are not as many outputs as inputs.
+        zeros: Transmission zeros in the s plane [1/s]; empty unless there are as many outputs as inputs.
         train: Fit of the training records.
         holdout: Fit of the held-out records; None without held-out data.
         whiteness: Tests of the one-step errors.

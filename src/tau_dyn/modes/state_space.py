@@ -39,7 +39,7 @@ class StateSpace:
         K: Gain of the innovations (n, p); zeros for an output-error model.
         dt: Sampling step [s].
         delay: Whole samples by which the inputs act late.
-        noise: Covariance of the innovations (p, p), or of the output noise; None where it is not known.
+        noise: Covariance of the innovations (p, p), or of the output noise; None if not known.
     """
 
     A: np.ndarray
@@ -172,7 +172,7 @@ def _triangular(T: np.ndarray, drive: np.ndarray, x0: np.ndarray) -> tuple[np.nd
     out = np.zeros((len(drive) + 1, n), dtype=complex, order="F")
     out[0] = x0
     for i in range(n - 1, -1, -1):
-        above = i + 1 + np.flatnonzero(T[i, i + 1 :])  # few where A is block-diagonal
+        above = i + 1 + np.flatnonzero(T[i, i + 1 :])  # few if A is block-diagonal
         above = above if len(above) < n - i - 1 else slice(i + 1, None)
         pushed = drive[:, i] + out[:-1, above] @ T[i, above]
         out[1:, i] = lfilter([1.0], [1.0, -T[i, i]], pushed, zi=T[i, i] * x0[i : i + 1])[0]
@@ -195,7 +195,7 @@ def _predictor(model: StateSpace, u: np.ndarray, y: np.ndarray) -> tuple[np.ndar
 
 
 def _free_responses(A: np.ndarray, C: np.ndarray, n: int) -> np.ndarray:
-    """C A^t for t < n (n, p, states), by doubling; stops early where all has decayed."""
+    """C A^t for t < n (n, p, states), by doubling; stops early when all states have decayed."""
     out, power = C[None], A
     size = np.abs(C).max(initial=0.0)
     while len(out) < n and np.abs(out[-1]).max(initial=0.0) > 1e-9 * size:

@@ -5,7 +5,7 @@ inputs,
 
     A(q) e_t = B(q) u_t + C(q) y_t + T(q) y_t^k + w_t,      k = 2, 3,      e.g. Duffing:  e = -G k3 y^3 + v
 
-has T = 0 where the structure is linear, in open and in closed loop: w is new at t, and everything else is past. A and B
+has T = 0 if the structure is linear, in open and in closed loop: w is new at t, and everything else is past. A and B
 model colour and linear dynamics that the model lacks. An F-test decides whether T differs from zero; the variance of
 `T / A y^k` over that of e decides whether it matters. References: Billings & Voon 1986; Söderström & Stoica 1989, 11.3
 (nested model structures).
@@ -146,7 +146,7 @@ def _fit(model: StateSpace, noise: NoiseModel, records: Sequence[Record]) -> Fit
 def compute_prediction_errors(
     model: StateSpace, noise: NoiseModel, records: Sequence[Record], k: int
 ) -> list[np.ndarray]:
-    """Return errors of predictions k samples ahead: by the model's own innovations where it has any, else by the noise model."""
+    """Return errors of predictions k samples ahead: by the model's own innovations if it has any, else by the noise model."""
     if np.any(model.K):
         return [(r.y - predict(model, r, k))[model.delay :] for r in records]
     return [noise.ahead(e, k) for e in compute_residuals(model, records)]

@@ -68,7 +68,7 @@ def find_valid_band(
     span_hz: tuple[float, float],
     tolerance: float,
 ) -> Agreement:
-    """Return where a structure reproduces a model's response, as a matrix norm, within its uncertainty or `tolerance`.
+    """Return the band in which a structure reproduces a model's response (matrix norm) within its uncertainty or `tolerance`.
 
     Args:
         evidence: The model.

@@ -154,7 +154,7 @@ def fit_mechanical(
 
     Args:
         source: A sampled model, or a refined one with `model`, `theta`, `covariance`, `model_at`.
-        collocated: Pairs (input, output) at one place and in one direction; None: all in order where there are as many.
+        collocated: Pairs (input, output) at one place and in one direction; None: all in order if there are as many.
         output: Quantity that the sensors measure: displacement, velocity, acceleration, or `auto` for the best fit.
         band: Frequencies to trust [Hz]; None: up to 0.9 of half the sampling rate.
         complete: False if checks show that the model misses part of the response: then at most `condensed`.

@@ -173,7 +173,7 @@ class Places:
         """Return mode shapes psi (modes, n), with `psi psi'` the residues (modes, p, m), signs free."""
         U, S, Vh = np.linalg.svd(residues)
         left, right = U[:, :, 0], S[:, :1] * Vh[:, 0]
-        # the two factors share a complex scale; where a pair is collocated they are the same number
+        # the two factors share a complex scale; for a collocated pair they are the same number
         rows, columns = [i for _, i in self.pairs], [j for j, _ in self.pairs]
         ratio = np.sum(left[:, rows].conj() * right[:, columns], axis=1)
         seen = np.sum(np.abs(left[:, rows]) ** 2, axis=1)
