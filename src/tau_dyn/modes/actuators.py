@@ -125,7 +125,7 @@ def fit_actuators(
 
     Args:
         records: The tests.
-        progress: Called with the progress.
+        progress: Called with a description of each step.
 
     Raises:
         InputError: References and positions do not pair, the tests differ in rate, or numbers are missing.

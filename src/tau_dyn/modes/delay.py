@@ -130,7 +130,7 @@ def choose_delay(
         least_gain: Share by which a delay that saves no states must lower the errors to be preferred; 0 relies on BIC
             alone. A true delay saves the states that would represent it; missing modes can look like a delay to BIC as
             well.
-        progress: Called with each step as it is done.
+        progress: Called with a description of each step.
         scan: The comparison of the same records by first models, if known.
         limit: Time limit, after which competing delays are not refined.
 

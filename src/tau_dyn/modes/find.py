@@ -118,7 +118,7 @@ def find_modes(
         time_limit: Wall time [s] after which the search ends; the best model so far is returned, and the warning
             `time_limit` names the skipped steps. One model is always fitted and validated, which may take longer.
         seed: Kept with the result; the method is deterministic.
-        progress: Called with each step as it is done.
+        progress: Called with a description of each step.
 
     Raises:
         InputError: A column, an option or the logs do not fit.

@@ -164,7 +164,7 @@ def choose_order(
         kind: `output_error` or `prediction_error`.
         asked: An order that is used in any case; the trials then serve for comparison only.
         pulses: Whether each record is a pulse and its decay, which must not be cut.
-        progress: Called with each step as it is done.
+        progress: Called with a description of each step.
         limit: Ends the search once one order has been refined.
 
     Raises:
