@@ -5,9 +5,10 @@
 The reference r is held over each sample, so sampling is exact for any delay, whole samples or not. The thesis writes the same
 as `G(q) = q^-d b / (1 - a q^-1)`, (6.11): `d` counts the sample that the hold itself takes, so `delay = (d - 1) dt` there.
 
-Fit of the output error, whose noise may be coloured: gain, offset and what is left of an earlier motion enter linearly and are
-solved for exactly (variable projection, Golub & Pereyra 1973); the time constant and the delay are searched. The response has a
-kink where the delay passes a sample, so the search goes from one sample's width to the next, as long as the error falls.
+The output error, whose noise may be coloured, is minimised. Gain, offset and the decaying rest of an earlier motion
+enter linearly and are solved for exactly (variable projection, Golub & Pereyra 1973); the time constant and the delay
+are searched. The response has a kink where the delay crosses a sample boundary, so the search proceeds one sample
+interval at a time, as long as the error decreases.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ class Actuator:
 
     Attributes:
         gain: Static gain.
-        time_constant: [s].
+        time_constant: Time constant [s].
         delay: Dead time [s].
     """
 
@@ -80,12 +81,12 @@ def filter_at_rest(reference: np.ndarray, dt: float, time_constant: float, delay
 def _sampled(dt: float, time_constant: float, delay: float) -> tuple[int, float, float, float]:
     """Return whole samples of delay, the weights of the input then and one sample earlier, and the pole."""
     whole = int(np.floor(delay / dt + 1e-9))
-    part = max(delay - whole * dt, 0.0)  # this long into each step the older input still acts
+    part = max(delay - whole * dt, 0.0)  # for this part of each step the older input still acts
     a, left = np.exp(-dt / time_constant), np.exp(-(dt - part) / time_constant)
     return whole, float(1 - left), float(left - a), float(a)
 
 
-_MAX_START_DELAY_SAMPLES = 64  # samples of delay up to which a start is looked for; the search itself may go on
+_MAX_START_DELAY_SAMPLES = 64  # samples of delay up to which starts are tried; the search itself may exceed it
 _STRIDE = 4  # samples of delay between two starts
 _WIDTHS = 12  # time constants that are tried, from half a sample to the length of the test
 
@@ -96,7 +97,7 @@ class ActuatorFit:
 
     Attributes:
         actuator: Gain, time constant, delay.
-        covariance: Of these three (3, 3).
+        covariance: Covariance of these three numbers (3, 3).
         residuals: Measured minus modelled position, test by test.
         fit_percent: `100 (1 - |y - model| / |y - mean|)` over all tests.
     """
@@ -124,7 +125,7 @@ def fit_actuators(
 
     Args:
         records: The tests.
-        progress: Told how far it is.
+        progress: Called with a description of each step.
 
     Raises:
         InputError: References and positions do not pair, the tests differ in rate, or numbers are missing.
@@ -238,7 +239,7 @@ def _within(tests: Tests, dt: float, width: float, low: int) -> tuple[float, flo
 
 
 def _at_delay(tests: Tests, dt: float, width: float, samples: int) -> tuple[float, float, float]:
-    """Return the same for a whole number of samples: on the kink, which the search within a sample only comes near to."""
+    """Return the same for a whole number of samples: at the kink, which the search within a sample only approaches."""
 
     def loss(x: float) -> float:
         return sum(float(e @ e) for e in _errors(tests, dt, float(np.exp(x)), samples * dt))
@@ -275,7 +276,7 @@ def _covariance(
     J = [part / np.where(size > 0, size, 1.0) for part in J]
     inverse = np.linalg.pinv(sum(part.T @ part for part in J), rcond=1e-13)
     middle = sum(part.T @ matmul_toeplitz(noise.autocovariance(len(part)), part) for part in J)
-    scale = np.outer(size, size)  # zero where a parameter does nothing, such as a time constant far below a sample
+    scale = np.outer(size, size)  # zero if a parameter has no effect, such as a time constant far below a sample
     covariance = np.full_like(scale, np.inf)
     np.divide(inverse @ middle @ inverse * n / (n - q), scale, out=covariance, where=scale > 0)
     keep = [0, q - 2, q - 1]

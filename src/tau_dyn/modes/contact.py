@@ -1,13 +1,14 @@
 r"""The force of a hammer: zero out of contact, and known in contact to the noise of its channel.
 
-What the channel shows out of contact is noise, which a simulation would take for a force and amplify at every resonance. So the
-force is windowed to the contact (Ewins 2000, 3.9), where that lowers the error of simulation. In contact each sample has the
-same noise, `u + eps`, `eps ~ N(0, s^2)`, and the outputs miss a simulation by `G eps` besides their own noise, with `G` the
-response to a force in one sample. What is left of the outputs without it is
+Out of contact the channel measures only noise, which a simulation would treat as a force and amplify at every
+resonance. So the force is windowed to the contact (Ewins 2000, 3.9) if that lowers the simulation error. In contact
+each sample has the same noise, `u + eps`, `eps ~ N(0, s^2)`, and the outputs differ from a simulation by `G eps` in
+addition to their own noise, with `G` the response to a force in one sample. The residual of the outputs without this
+contribution is
 
     e - G eps_hat,    eps_hat = (G' W G + I / s^2)^-1 G' W e.
 
-Many samples of one contact are taken together in bins: what they do to a resonance far below the sampling rate differs little.
+The samples of one contact are grouped in bins: their effects on a resonance far below the sampling rate differ little.
 """
 
 from __future__ import annotations
@@ -26,9 +27,9 @@ _OF_PEAK, _OF_NOISE = 0.02, 6.0
 """Share of an input's largest force, and multiple of its noise, above which there is contact."""
 _FLANK, _FLANK_SHARE = 4, 0.2
 """Samples around contact that belong to it, and the same as a share of the contact."""
-_MAX_CONTACT = 0.3  # share of a record; with more it was not hit, but driven
+_MAX_CONTACT = 0.3  # share of a record; with more contact the record is driven, not an impulse test
 _ORDER = 12  # states of the models by which windows are judged
-_SAMPLES, _LEAST = 6000, 500  # that they are fitted to, and of each pulse at least
+_SAMPLES, _LEAST = 6000, 500  # samples that these models are fitted to, in all and at least of each pulse
 _BINS = 24  # of one contact's samples, at most
 
 
@@ -59,7 +60,7 @@ def window_forces(data: PreparedRecords) -> tuple[PreparedRecords, str]:
 
 
 def _measure_loss(records: Sequence[Record]) -> float:
-    """Return log det of what a model leaves of pulses; infinite where noise hides that the force comes to rest."""
+    """Return log det of the residual covariance on pulses; infinite if noise hides that the force comes to rest."""
     try:
         return decompose_pulse_tests(records).measure_loss(_ORDER)
     except CannotAnswer:
@@ -90,7 +91,7 @@ def find_contact(u: np.ndarray, least: np.ndarray) -> np.ndarray:
 
 
 def compute_noise_responses(record: Record, markov: np.ndarray) -> np.ndarray:
-    """Return what the noise of the inputs in contact does to the outputs (N, p, k), one column a standard deviation.
+    """Return the effect of input noise in contact on the outputs (N, p, k), one standard deviation per column.
 
     Args:
         record: Its inputs are zero out of contact; without noise of the inputs there are no columns.
@@ -111,7 +112,7 @@ def compute_noise_responses(record: Record, markov: np.ndarray) -> np.ndarray:
 
 
 def remove_input_noise(errors: Sequence[np.ndarray], records: Sequence[Record], markov: np.ndarray) -> list[np.ndarray]:
-    """Return errors of simulations (N, p) without what the noise of the inputs in contact explains of them."""
+    """Return errors of simulations (N, p) without the part that the noise of the inputs in contact explains."""
     weight = np.linalg.pinv(np.cov(np.vstack(errors).T, bias=True).reshape(records[0].y.shape[1], -1))
     out = []
     for error, record in zip(errors, records, strict=True):

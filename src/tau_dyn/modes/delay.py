@@ -1,19 +1,20 @@
-"""By how many whole samples the inputs act late.
+"""The delay of the inputs in whole samples.
 
-A delay that a model does not know costs it one state for each sample and input; a delay too long makes it miss the response's
-first samples. So for every delay and several orders n the poles are taken from a first model, the rest is fitted by linear
-least squares,
+A model without the delay needs one more state for each sample and input; a model with too long a delay misses the first
+samples of the response. So for every delay and several orders n the poles are taken from a first model and the rest is
+fitted by linear least squares,
 
     y_t = sum_k Re( R_k xi_{k,t} ) [+ D u_{t-d}] + free decay,   xi_{k,t+1} = lambda_k xi_{k,t} + u_{t-d},
 
-with and without D, and the pair (d, n) with the best BIC is taken. Delays that come close are compared by refined models,
-because the error of a first model's poles can hide what one sample makes. A sampled strictly proper plant has delay 0:
-sampling's own sample is part of the model; where outputs answer within the sample (accelerometers), D tells, and refinement
-decides. All inputs get the same delay.
+with and without D, and the pair (d, n) with the best BIC is taken. Delays with a similar BIC are compared by refined
+models, because the error of a first model's poles can hide the effect of one sample. A sampled strictly proper plant
+has delay 0: the one sample that sampling adds is part of the model. If outputs respond within the sample
+(accelerometers), D shows it, and refinement decides. All inputs get the same delay.
 
-Pulse tests bound it from above. Before a pulse the structure at most rings on, y_t = C A^t x_0; that is fitted to the samples
-of rest and followed into the pulse, and the first sample at which an output leaves it by more than noise and rounding is the
-answer. A model that lacks modes would trade them for a delay; this bound has none to lack.
+Pulse tests bound the delay from above. Before a pulse the structure is at rest or in free decay, y_t = C A^t x_0. The
+decay is fitted to the samples before the pulse and extrapolated into it; the bound is the first sample at which an
+output deviates from it by more than noise and rounding. A model that lacks modes may replace them by a delay; this
+bound does not depend on such a model.
 """
 
 from __future__ import annotations
@@ -37,22 +38,22 @@ MAX_DELAY_SAMPLES = 20  # the longest delay that is tried
 ORDERS = (2, 4, 6, 8, 12, 20, 28)  # orders tried for every delay: modes that all of them lack would look like a delay
 MAX_REFINED_ORDER = 12
 """Order up to which rivals are refined: beyond, first models are close enough for a delay, and refinement slow."""
-SCAN_SHARE = 0.3  # of a time limit after which no further delay is looked at
-COARSE = 4  # step of the first look
+SCAN_SHARE = 0.3  # of a time limit after which no further delay is tried
+COARSE = 4  # step of the coarse scan, in samples
 CLOSE_BIC_DIFFERENCE = 100.0  # BIC within which two delays are compared by refined models
-RIVALS = 3  # delays refined at most; a scan over first models tells the others apart
+RIVALS = 3  # delays refined at most; a scan over first models separates the others
 MAX_ITERATIONS = 8  # Gauss-Newton steps for a rival; enough to rank it
-DECISIVE_BIC_DIFFERENCE = 10.0  # BIC beyond which a rival is out of the question (Kass & Raftery 1995)
+DECISIVE_BIC_DIFFERENCE = 10.0  # BIC difference beyond which a rival is excluded (Kass & Raftery 1995)
 
 
 @dataclass(frozen=True)
 class DelayChoice:
-    """The delay, and what was known when it was chosen.
+    """The delay and the evidence for it.
 
     Attributes:
         delay: Whole samples.
-        scan: Delay, best order for it, and BIC above the best delay's, for every delay tried.
-        sure: BIC by which the next best delay is behind; above 10 it is out of the question.
+        scan: Delay, best order for it, and its BIC minus the best delay's, for every delay tried.
+        sure: BIC of the next best delay minus the best one; above 10 the next best is excluded.
         why: The reason, as a sentence.
     """
 
@@ -72,9 +73,9 @@ class DelayScan:
     """Delays compared by first models.
 
     Attributes:
-        records: What they were compared on.
+        records: The records on which they were compared.
         longest: The longest delay tried; samples before it are left out for every delay.
-        found: By delay the best BIC and its order.
+        found: The best BIC and its order for each delay.
     """
 
     records: tuple[Record, ...]
@@ -123,14 +124,15 @@ def choose_delay(
     Args:
         records: Training records, inputs and outputs as deviations.
         first: Gives, for records and a delay, first poles and first models of any order.
-        kind: What refined models of close delays are compared by: `output_error` or `prediction_error`.
+        kind: Criterion of the refined models of close delays: `output_error` or `prediction_error`.
         orders: Orders tried for every delay.
         most: The longest delay to try.
-        least_gain: Share by which a delay that spares no states must lower the errors to be preferred; 0 trusts BIC.
-            A true delay spares the states that would stand for it; missing modes can look like a delay to BIC too.
-        progress: Told what is done.
-        scan: The comparison of the same records by first models, where it is known.
-        limit: Leaves rivals unrefined once it is over.
+        least_gain: Share by which a delay that saves no states must lower the errors to be preferred; 0 relies on BIC
+            alone. A true delay saves the states that would represent it; missing modes can look like a delay to BIC as
+            well.
+        progress: Called with a description of each step.
+        scan: The comparison of the same records by first models, if known.
+        limit: Time limit, after which competing delays are not refined.
 
     Raises:
         CannotAnswer: No delay gives a model.
@@ -173,7 +175,7 @@ def choose_delay(
 def _summarise(
     best: int, found: dict[int, tuple[float, int]], gaps: dict[int, float]
 ) -> tuple[tuple[tuple[int, int, float], ...], float]:
-    """Return the scan, and by how much the next best delay is behind."""
+    """Return the scan, and the BIC difference of the next best delay."""
     scan = tuple((d, found[d][1], max(gaps[d], 0.0)) for d in sorted(found))
     return scan, min((gap for d, _, gap in scan if d != best), default=float("inf"))
 
@@ -190,7 +192,7 @@ def _scan(
     say: Callable[[str], None],
     limit: TimeLimit,
 ) -> dict[int, tuple[float, int]]:
-    """Return by delay the best BIC and its order: a coarse look, then the neighbours of the best."""
+    """Return the best BIC and its order for each delay: a coarse scan, then the neighbours of the best."""
     found: dict[int, tuple[float, int]] = {}
     wanted, tried = list(range(0, most + 1, COARSE)), set[int]()
     while wanted:
@@ -264,7 +266,7 @@ def _apart(decays: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _refined(records: Sequence[Record], first: InitialModels, delay: int, order: int, kind: str, skip: int) -> float:
-    """Return BIC of a refined model on samples whose input is known for every delay; infinite where there is none."""
+    """Return BIC of a refined model on samples whose input is known for every delay; infinite if there is no model."""
     try:
         refined = refine(first.model(order), records, kind=kind, maximum_rounds=MAX_ITERATIONS, covariance=False)
     except (TauDynError, np.linalg.LinAlgError):
@@ -275,19 +277,19 @@ def _refined(records: Sequence[Record], first: InitialModels, delay: int, order:
     return compute_aic_bic(compute_log_det_loss(errors), sum(len(e) for e in errors), k)[1]
 
 
-ONSET_ORDER = 12  # states that ring on, at most
-MIN_ONSET_SNR = 8.0  # times the noise before the pulse that an answer differs from ringing on
+ONSET_ORDER = 12  # states of the free decay, at most
+MIN_ONSET_SNR = 8.0  # deviation from the free decay over the noise before the pulse, from which on it is a response
 OF_PEAK = 2e-4  # part of the output's peak that it must reach at least
 STARTED = 0.005  # part of the peak of the force at which the pulse has begun
 
 
 def find_response_onset(records: Sequence[Record], decays: EraFactors, most: int) -> int:
-    """Return how many samples after a pulse's first one an output moves; `most` where none does earlier.
+    """Return the number of samples from a pulse's first one until an output moves; `most` if no output moves earlier.
 
     Args:
         records: Pulses with some samples of rest before them.
-        decays: Their decays, for how the structure rings on.
-        most: Samples to look at.
+        decays: Their decays, which give the free response of the structure.
+        most: Number of samples examined.
     """
     peaks = np.max([np.abs(r.u).max(axis=0) for r in records], axis=0)
     found = [_answer(r, decays, most, peaks) for r in records]

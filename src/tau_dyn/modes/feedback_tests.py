@@ -1,31 +1,34 @@
-"""Do the inputs answer to the outputs: a loop was closed, and methods for open loop would be biased. Two tests tell.
+"""Two tests for feedback from the outputs to the inputs, under which methods for open loop are biased.
 
-Innovations `e` of a high-order ARX model are what cannot be foreseen in the outputs. In open loop they tell nothing about the
-inputs to come; in a closed one the controller answers to them. So each input is predicted from its own past, with and without
-past innovations (Granger 1969; Caines & Chan 1975):
+Innovations `e` of a high-order ARX model are the part of the outputs that cannot be predicted. In open loop they
+contain no information about future inputs; in closed loop the controller responds to them. So each input is predicted
+from its own past, with and without past innovations (Granger 1969; Caines & Chan 1975):
 
     u_t = sum a_k u_{t-k} + sum b_k e_{t-k},  k = 1 .. L          all b = 0 in open loop
 
-The ARX model may look at a few inputs to come as well: a path sampled behind anti-alias filters is two-sided, because the force
-between samples shows in those before and after, and a causal model would leave those inputs in e, more so the more outputs
-there are and the less noise. A controller's answer lasts longer than these few samples (Sims 1972). An F-test says whether the
-b help, their share of the input's movement whether it matters: innovations that make up a thousandth of the input bias nothing
-that anyone could see. An input that repeats itself exactly answers to nobody's noise. A purely proportional controller that
-acts within the same sample on white noise leaves no trace here; where a loop is known, name its reference.
+The ARX model may also use a few future inputs: a path sampled behind anti-alias filters is two-sided, because the force
+between samples appears in the samples before and after. A causal model would leave those inputs in e, the more so with
+more outputs and less noise. The response of a controller lasts longer than these few samples (Sims 1972). An F-test
+decides whether the b are significant; their share of the input's variance decides whether they matter: innovations that
+make up a thousandth of the input cause no visible bias. An input that repeats itself exactly does not respond to noise.
+A purely proportional controller that acts within the same sample on white noise leaves no trace in this test; if a loop
+is known, name its reference.
 
-The second test looks at what a causal model leaves, e = y - G u, in the band W that the input excites, by filters without phase,
+The second test examines the residual of a causal model, e = y - G u, in the band W that the input excites, by
+zero-phase filters,
 
     r_k = sum_t e'_t u'_{t+k},   e' = e / |U|,   u' = W^2 u / |U|,        cross-spectrum  (E/U)(f) W(f)^2
 
-What the model misses of the path from u to y shows at lags k <= 0 and, through the short kernel of W^2, at a few positive ones.
-Disturbances that come back through a controller show beyond: the input follows what is left. In open loop r_k there are normal
-numbers with Bartlett's covariance, given e:
+Errors of the model's path from u to y appear at lags k <= 0 and, through the short kernel of W^2, at a few positive
+ones. Disturbances that return through a controller appear at larger lags, because the input follows the residual. In
+open loop the r_k at these lags are normally distributed with Bartlett's covariance, given e:
 
     E r_k r_{k+l} = (1 - k/N) sum_j c_e'(j) c_u'(j + l)
 
-so a sum of squares over a span of lags is a quadratic form of known moments. Spans, and e as it is (which favours resonances)
-or whitened by a causal autoregression (which favours the whole band), are combined into one p-value. References: Sims 1972;
-Söderström & Stoica 1989, 11.2; Box & Jenkins 1976, 11.1 (Bartlett's formula); Liu & Xie 2020 (Cauchy combination).
+so a sum of squares over a span of lags is a quadratic form of known moments. The tests of all spans, with e unfiltered
+(which favours resonances) and whitened by a causal autoregression (which favours the whole band), are combined into one
+p-value. References: Sims 1972; Söderström & Stoica 1989, 11.2; Box & Jenkins 1976, 11.1 (Bartlett's formula); Liu & Xie
+2020 (Cauchy combination).
 """
 
 from __future__ import annotations
@@ -47,9 +50,9 @@ LAGS = (10, 20, 60)  # lengths of the ARX model to choose from; many modes with 
 LEADS = 4
 """Inputs to come that the ARX model sees: the two-sided kernel of a path whose input ends at 0.2 to 0.9 of the Nyquist
 frequency has died away by then, down to noise of a thousandth."""
-MAX_SAMPLES = 10_000  # samples looked at: more add power to see what would not matter
+MAX_SAMPLES = 10_000  # samples examined: more would only detect feedback that does not matter
 SIGNIFICANCE_LEVEL = 1e-3  # of feedback that is not there; one record in a thousand
-MIN_VARIANCE_SHARE = 1e-3  # share of an input's variance that answers to innovations, from which on a loop counts
+MIN_VARIANCE_SHARE = 1e-3  # share of an input's variance that responds to innovations, from which on a loop counts
 NEW = 0.01  # the same as a share of what is new in the input
 # squared difference of an input from itself a period later, relative to its power, below which it counts as periodic
 REPEATS = 1e-4
@@ -57,17 +60,17 @@ REPEATS = 1e-4
 
 @dataclass(frozen=True)
 class Feedback:
-    """Whether the inputs answer to the outputs.
+    """Whether the inputs respond to the outputs.
 
     Attributes:
-        suspected: Whether methods that bear feedback are to be used.
+        suspected: Whether methods that remain consistent under feedback are to be used.
         p_value: How often open-loop data would look more like feedback.
-        share: Largest share of an input's variance that past innovations foretell beyond its own past.
+        share: Largest share of an input's variance that past innovations predict beyond its own past.
         why: The reason, as a sentence.
-        input: The input concerned; empty where none is.
+        input: The input concerned; empty without feedback.
         possible: Whether feedback cannot be excluded, so that standard errors have to allow for it.
-        detectable_loop_gain: Loop gain of a constant controller below which a loop may stay unseen in this record; nan where
-            that was not worked out.
+        detectable_loop_gain: Loop gain of a constant controller below which a loop may stay unseen in this record; nan
+            if not computed.
     """
 
     suspected: bool
@@ -80,7 +83,7 @@ class Feedback:
 
 
 def detect_feedback(records: Sequence[Record]) -> Feedback:
-    """Tell whether the inputs answer to the outputs.
+    """Test whether the inputs respond to the outputs.
 
     Args:
         records: Inputs and outputs as deviations from their means.
@@ -120,7 +123,7 @@ def _affordable(records: Sequence[Record], lags: int) -> bool:
 
 
 def _innovations(records: Sequence[Record], lags: int) -> list[np.ndarray]:
-    """Return one-step errors of an ARX model that sees inputs to come (N - lags - LEADS, p), one array a record."""
+    """Return one-step errors of an ARX model that uses future inputs (N - lags - LEADS, p), one array per record."""
     rows = [np.hstack([stack_lags(r.y[:-LEADS], lags), stack_lags(r.u, lags + LEADS, 0)]) for r in records]
     ys = [r.y[lags:-LEADS] for r in records]
     basis = _orthonormal(np.vstack(rows))
@@ -130,7 +133,7 @@ def _innovations(records: Sequence[Record], lags: int) -> list[np.ndarray]:
 
 
 def _answers(records: Sequence[Record], innovations: list[np.ndarray], lags: int) -> list[tuple[float, float, float]]:
-    """Return by input the p-value, and the share of its variance, and of its own news, that past innovations foretell."""
+    """Return for each input the p-value, and the share of its variance and of its innovation that past innovations predict."""
     own, extra, target = [], [], []
     for r, e in zip(records, innovations, strict=True):
         start = r.n_samples - len(e) + lags  # first sample with `lags` innovations behind it
@@ -148,7 +151,7 @@ def _answers(records: Sequence[Record], innovations: list[np.ndarray], lags: int
         if free < 10 or left <= 1e-18 * float(u @ u):
             found.append((1.0, 0.0, 0.0))
             continue
-        excess = max(gained - (left - gained) * more.shape[1] / free, 0.0)  # chance alone gains something too
+        excess = max(gained - (left - gained) * more.shape[1] / free, 0.0)  # subtract the gain expected by chance
         statistic = gained / more.shape[1] / max((left - gained) / free, 1e-300)
         p_value = float(fisher.sf(statistic, more.shape[1], free))
         found.append((p_value, excess / float(u @ u), excess / left))
@@ -156,7 +159,7 @@ def _answers(records: Sequence[Record], innovations: list[np.ndarray], lags: int
 
 
 def _orthonormal(x: np.ndarray) -> np.ndarray:
-    """Return an orthonormal basis of the columns, those that add nothing left out."""
+    """Return an orthonormal basis of the columns, without linearly dependent ones."""
     size = np.linalg.norm(x, axis=0)
     x = x[:, size > 0] / size[size > 0]
     r, pivot = (np.asarray(a) for a in qr(x.T @ x, pivoting=True, mode="r"))
@@ -167,7 +170,7 @@ def _orthonormal(x: np.ndarray) -> np.ndarray:
 
 
 def _repeats(u: np.ndarray) -> bool:
-    """Tell whether the inputs are periodic within the record, up to a trace."""
+    """Return whether the inputs are periodic within the record, up to a small error."""
     n = len(u)
     x = u - u.mean(axis=0)
     spectrum = np.abs(np.fft.rfft(x, 2 * n, axis=0)) ** 2
@@ -186,30 +189,30 @@ EXCITED_SHARE = 0.05
 """Power density over its maximum from which on a band counts as excited (-13 dB): folded frequencies lie below."""
 TAPER_SHARE = 0.3  # share of the excited band over which W falls to zero at its edges
 MAX_LEAK = 0.1
-"""Of a lag's standard deviation: what the path from input to output may put there through the kernel of W^2."""
+"""Largest contribution of the path from input to output through the kernel of W^2, in standard deviations of a lag."""
 KERNEL_LEVELS = (1e-3, 0.03)
 """Least and greatest height of that kernel over its peak at the first acausal lag that counts: a path left out by 30 dB over
 the noise, and one that is not seen."""
 SPANS = (10, 30, 100)
-"""Acausal lags that are added up, in samples: controllers answer at once, structures ring on. Longer spans
-add chance only: of 20 loops of gain 3 in 6 s, sums of 30 lags show 16 to 19 at 0.001, sums of 300 lags 1 to 5."""
-MIN_ACAUSALITY_SAMPLES, MAX_ACAUSALITY_SAMPLES = 400, 60_000  # samples needed, and looked at
+"""Acausal lags that are added up, in samples: controllers respond at once, structures decay slowly. Longer spans
+add only noise: of 20 loops of gain 3 in 6 s, sums of 30 lags show 16 to 19 at 0.001, sums of 300 lags 1 to 5."""
+MIN_ACAUSALITY_SAMPLES, MAX_ACAUSALITY_SAMPLES = 400, 60_000  # samples needed, and used at most
 ACAUSALITY_SIGNIFICANCE_LEVEL = 1e-3
 """p-value below which a loop was closed: at most one false alarm in a thousand open-loop tests."""
 
 
 @dataclass(frozen=True)
 class Acausality:
-    """Whether an input follows what a causal model leaves.
+    """Whether an input follows the residual of a causal model.
 
     Attributes:
         p_value: How often open-loop data would look more like feedback, over all inputs, outputs and spans.
         share: Correlation power at acausal lags beyond chance, over that at all lags up to the same distance.
         input: The number of the input concerned.
         output: The number of the output concerned.
-        detectable_gain: Detection limit: the loop gain, at its largest over the excited band, from which on a controller of
-            constant gain shows in weak loops, at the pair where that is hardest; nan where no model is given. Loops at the
-            limit are claimed in about every fourth record, at twice the limit in nearly all.
+        detectable_gain: Detection limit: the largest loop gain over the excited band above which a controller of
+            constant gain is detectable in weak loops, for the pair that is hardest to detect; nan if no model is given.
+            Loops at the limit are detected in about every fourth record, at twice the limit in nearly all.
     """
 
     p_value: float
@@ -253,11 +256,11 @@ def _combine_p_values(p: np.ndarray) -> float:
 
 
 def _test_pair(x: np.ndarray, z: np.ndarray, f: np.ndarray, path: np.ndarray) -> list[Acausality]:
-    """Return the tests of all spans of one input x (N,) and residual z (N,), as it is and whitened.
+    """Return the tests of all spans of one input x (N,) and residual z (N,), unfiltered and whitened.
 
     Args:
         x: The input.
-        z: What the model leaves of the output.
+        z: Residual of the output.
         f: Frequencies [cycles a sample].
         path: Magnitude of the response from input to output there.
     """
@@ -324,7 +327,10 @@ def compute_whitening(x: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]
 
 
 def _density(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return frequencies [cycles a sample] and a smooth power density; at zero, where the mean is taken off, that beside it."""
+    """Return frequencies [cycles per sample] and a smooth power density.
+
+    The mean is removed; the density at zero is therefore set to that of the next frequency.
+    """
     f, density = welch(x, nperseg=min(SEGMENT, len(x) // 4))
     density[0] = density[1]
     return f, density

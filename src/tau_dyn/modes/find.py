@@ -1,13 +1,14 @@
-r"""Resonances from vibration logs: one call from columns of a log to modes with uncertainty, a model, and how far to trust it.
+r"""Resonances from vibration logs: one call from columns of a log to modes with uncertainty and a validated model.
 
-The way, from top to bottom: records are prepared (`record.py`); a method is tried, for which a delay (`delay.py`) and an order
-(`order.py`) are chosen from first models (`methods.py`); its residuals tell whether a loop was closed (`feedback_tests.py`), and
-where that, an older trace of feedback or a named reference says so, `pbsid`, which bears feedback, is tried too; the winner is
-refined (`refinement.py`), fitted to all data, its standard errors widened for what other models say, and judged
-(`validation.py`). Each step leaves a sentence in `why`.
+The steps, in order: records are prepared (`record.py`). A method is tried, for which a delay (`delay.py`) and an order
+(`order.py`) are chosen from first models (`methods.py`). Its residuals are tested for feedback (`feedback_tests.py`).
+If this test, an earlier sign of feedback or a named reference indicates a closed loop, `pbsid`, which is consistent
+under feedback, is tried too. The better model is refined (`refinement.py`) and fitted to all data, its standard errors
+are widened by the differences to other models, and it is validated (`validation.py`). Each step adds a sentence to
+`why`.
 
-Under feedback the error of a simulation favours the open-loop method, which fits the disturbance too; so `pbsid` may lose a
-little, but not much: a model that cannot simulate is no answer, whatever the reason for trying it.
+Under feedback the simulation error favours the open-loop method, which fits the disturbance too. So `pbsid` is accepted
+with a slightly larger error, but not with a much larger one: a model that cannot simulate is rejected.
 """
 
 from __future__ import annotations
@@ -65,17 +66,17 @@ from tau_dyn.modes.state_space import StateSpace, delay_inputs
 from tau_dyn.modes.time_limit import TimeLimit
 from tau_dyn.modes.validation import validate_model
 
-MAX_REQUESTED_ORDER = 200  # states; a dense model of more takes minutes and tells noise
+MAX_REQUESTED_ORDER = 200  # states; a dense model of more takes minutes and fits noise
 MAX_REQUESTED_DELAY = 10_000  # samples
-PULSE_GAIN = 0.1  # share by which a delay must lower what pulse tests leave, to be believed
+PULSE_GAIN = 0.1  # share by which a delay must lower the residual of pulse tests to be accepted
 MAX_ROUNDS, FEW_ROUNDS = 40, 15
-"""Rounds of refinement; few for models of many free numbers, which begin at a refined trial, and for pulse tests, which can
-hold more modes than a model and then creep."""
+"""Rounds of refinement; few for models of many free numbers, which begin at a refined trial, and for pulse tests, which
+can hold more modes than a model and then converge slowly."""
 POSSIBLE = 0.2  # p-value below which feedback cannot be excluded, and standard errors allow for it
-MAX_LOOP_GAIN = 10.0  # loop gains beyond it are rare within a resonance, and the number would say nothing
+MAX_LOOP_GAIN = 10.0  # loop gains beyond it are rare within a resonance, and the number would not be informative
 WORST_RATIO = 1.15
-"""Simulation error of `pbsid` over that of `n4sid` up to which it is believed under feedback: an open-loop fit takes a share of
-a disturbance that comes back through the input. A judgement, not calibrated by a study."""
+"""Simulation error of `pbsid` over that of `n4sid` up to which it is accepted under feedback: an open-loop fit also fits a
+share of a disturbance that returns through the input. A judgement, not calibrated by a study."""
 MIN_RELATIVE_ERROR = 0.1
 """Simulation error over the outputs' size below which disturbances are too small for prediction errors to do better."""
 MAX_ERROR_RATIO = 0.98
@@ -99,25 +100,25 @@ def find_modes(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Modes:
-    """Identify resonances, a black-box model, and mass, damping and stiffness where the data hold them.
+    """Identify resonances, a black-box model, and mass, damping and stiffness if the data determine them.
 
     Args:
         logs: Logs to fit on; never joined.
         inputs: Columns that excite.
         outputs: Columns that respond.
-        holdout: Logs to judge on; the last 30 % of every log where none are given.
+        holdout: Logs for validation; the last 30 % of every log if not given.
         references: Columns that a feedback loop was asked to follow.
         method: `auto`, `n4sid`, `pbsid`, `arx` or `era`.
         order: `auto` or a number of states.
         delay: `auto` or a number of samples.
-        sensor: What the outputs are: `displacement`, `velocity` or `acceleration`; `auto` goes by their names, and by the
-            fit of M, D, K where those do not tell. Accelerations in g are named so (`acc1_g`).
-        collocated: Pairs of an input and an output at one place and in one direction; where none are given and there are
-            as many outputs as inputs, each input and the output of its rank.
-        time_limit: Wall time [s] after which nothing more is tried; the best model so far is the answer, and the warning
-            `time_limit` names what was left out. One model is always fitted and judged, which may last longer.
-        seed: Kept with the result; nothing here is random.
-        progress: Told what is done.
+        sensor: Quantity that the outputs measure: `displacement`, `velocity` or `acceleration`; `auto` uses their
+            names, or the fit of M, D, K if the names do not state it. Accelerations in g are named so (`acc1_g`).
+        collocated: Pairs of an input and an output at one place and in one direction; if not given and there are as
+            many outputs as inputs, each input and the output of the same rank.
+        time_limit: Wall time [s] after which the search ends; the best model so far is returned, and the warning
+            `time_limit` names the skipped steps. One model is always fitted and validated, which may take longer.
+        seed: Kept with the result; the method is deterministic.
+        progress: Called with a description of each step.
 
     Raises:
         InputError: A column, an option or the logs do not fit.
@@ -150,7 +151,7 @@ def find_modes(
     feedback = Feedback(False, 1.0, 0.0, "pulses answer to nothing") if pulses else detect_feedback(data.train)
     first, why = _choose_first_method(method, data, feedback)
 
-    starts: dict[tuple[str, int], Start] = {}  # by method and delay: what is compared shares its first models
+    starts: dict[tuple[str, int], Start] = {}  # by method and delay: compared models share their first models
     scans: list[DelayScan] = []
 
     def attempt(name: str, kind: str) -> MethodCandidate:
@@ -200,7 +201,7 @@ def find_modes(
 def _places(
     pairs: Sequence[tuple[str, str]], inputs: Sequence[str], outputs: Sequence[str]
 ) -> list[tuple[int, int]] | None:
-    """Return collocated pairs as numbers of columns; None where none were named."""
+    """Return collocated pairs as numbers of columns; `None` if no pairs were given."""
     for one, other in pairs:
         if one not in inputs or other not in outputs:
             raise InputError(
@@ -257,7 +258,7 @@ def _choose_delay(
     orders = ORDERS if asked is None else sorted({o for o in ORDERS if o < asked} | {min(asked, 20)})
     decays = decompose_pulse_tests(data.train, delay=MAX_DELAY_SAMPLES) if method == "era" else None
     most = MAX_DELAY_SAMPLES
-    if decays is not None:  # what does not answer to a force within the sample, answers one sample after the delay
+    if decays is not None:  # an output that does not respond within the sample responds one sample after the delay
         most = max(0, find_response_onset(data.train, decays, MAX_DELAY_SAMPLES) - (sensor != "acceleration"))
 
     def look(records: Sequence[Record], d: int) -> InitialModels:
@@ -278,11 +279,11 @@ def _choose_delay(
 
 @dataclass(frozen=True, eq=False)
 class MethodCandidate:
-    """What one method made of the training data.
+    """The model that one method fitted to the training data.
 
     Attributes:
         method: `n4sid` or `pbsid`.
-        kind: What its refinement minimises.
+        kind: The criterion that its refinement minimises.
         late: Its delay.
         states: Its order, with the models of the trials.
     """
@@ -293,7 +294,7 @@ class MethodCandidate:
     states: OrderChoice
 
     def simulation_errors(self, data: PreparedRecords) -> float:
-        """Return the geometric mean over outputs of simulation errors on the quarter kept apart; infinite without a model."""
+        """Return the geometric mean of the outputs' simulation errors on the reserved quarter; infinite without a model."""
         if self.states.taken is None:
             return float("inf")
         return _mean_size(compute_residuals(self.states.taken.model, select_parts(data.train)[1], SIMULATED))
@@ -304,13 +305,13 @@ class MethodCandidate:
 
 
 def _mean_size(errors: Sequence[np.ndarray]) -> float:
-    """Return the geometric mean over columns of root mean squares; infinite where one ran away."""
+    """Return the geometric mean over columns of root mean squares; infinite if one diverges."""
     power = compute_mean_squares(errors)
     return float(np.exp(0.5 * np.mean(np.log(np.maximum(power, 1e-300))))) if np.isfinite(power).all() else np.inf
 
 
 def check_candidate(candidate: MethodCandidate, data: PreparedRecords) -> Acausality:
-    """Return whether the inputs follow what a candidate leaves of the training data."""
+    """Return whether the inputs follow the residuals of a candidate on the training data."""
     trial = candidate.states.taken
     if trial is None:
         return Acausality(1.0, 0.0)
@@ -321,13 +322,13 @@ def check_candidate(candidate: MethodCandidate, data: PreparedRecords) -> Acausa
 def settle(
     data: PreparedRecords, before: Feedback, plain: MethodCandidate, make: Callable[[], MethodCandidate | None]
 ) -> tuple[MethodCandidate, Feedback, str]:
-    """Return the candidate to go on with, what is known of feedback, and why.
+    """Return the selected candidate, the result of the feedback tests, and the reason.
 
     Args:
         data: Training data.
-        before: What the innovations say of feedback, or a reference that was named.
+        before: Result of the feedback test on the innovations, or a reference that was named.
         plain: The open-loop candidate.
-        make: Makes the candidate that bears feedback; None where the method gives no model.
+        make: Builds the candidate that is consistent under feedback; None if the method gives no model.
     """
     found = check_candidate(plain, data)
     follows = found.p_value < ACAUSALITY_SIGNIFICANCE_LEVEL
@@ -360,7 +361,7 @@ def settle(
 
 
 def _describe_limit(gain: float) -> str:
-    """Return which loop gain the acausality test would have shown, as the end of a sentence."""
+    """Return the detection limit of the acausality test (loop gain), as the end of a sentence."""
     if np.isnan(gain):
         return ""
     if gain > MAX_LOOP_GAIN:
@@ -371,15 +372,15 @@ def _describe_limit(gain: float) -> str:
 def choose_error_kind(
     plain: MethodCandidate, data: PreparedRecords, make: Callable[[], MethodCandidate | None]
 ) -> tuple[MethodCandidate, str]:
-    """Return the candidate whose model simulates the quarter kept apart better, and why where it is not the given one.
+    """Return the candidate that simulates the reserved quarter better, and why if it is not the given one.
 
-    Where disturbances are large and coloured, a model that minimises one-step prediction errors, which has a model of them, may
-    simulate better than one that minimises simulation errors (Ljung 1999, 8.5).
+    If disturbances are large and coloured, a model that minimises one-step prediction errors, which includes a
+    disturbance model, may simulate better than one that minimises simulation errors (Ljung 1999, 8.5).
 
     Args:
         plain: The candidate that minimises simulation errors.
         data: Training data.
-        make: Makes one that minimises prediction errors; None where there is no model.
+        make: Builds one that minimises prediction errors; None if there is no model.
     """
     if plain.kind != SIMULATED or data.kind == "impulse" or plain.relative_error(data) < MIN_RELATIVE_ERROR:
         return plain, ""
@@ -393,7 +394,7 @@ def choose_error_kind(
 def _refine_best(
     data: PreparedRecords, best: MethodCandidate, limit: TimeLimit, *, alone: bool
 ) -> tuple[RefinedModel, str]:
-    """Return the most likely model of the order, and how it was had; further starts are tried where one does not converge."""
+    """Return the most likely model of the order and its method; further starts are tried if one does not converge."""
     method, delay, order, taken = best.method, best.late.delay, best.states.order, best.states.taken
 
     def begin(name: str) -> StateSpace:
@@ -408,7 +409,7 @@ def _refine_best(
     if taken is None or rounds > FEW_ROUNDS:
         alone = alone or best.kind == PREDICTED or rounds == FEW_ROUNDS
         names = (method,) if alone else dict.fromkeys((method, "n4sid", "arx"))
-        # a refined trial began where its method does
+        # a refined trial has the same start as its method
         starts += [(name, partial(begin, name)) for name in names if taken is None or alone or name != method]
     found: list[tuple[float, str, RefinedModel]] = []
     fault: Exception | None = None
@@ -449,7 +450,7 @@ def _is_sound(made: RefinedModel) -> bool:
 
 
 def _count_rounds(data: PreparedRecords, order: int) -> int:
-    """Return how many rounds of refinement a model is given."""
+    """Return the maximum number of refinement steps for a model."""
     width = data.train[0].u.shape[1] + data.train[0].y.shape[1]
     return FEW_ROUNDS if data.kind == "impulse" or order * width > MANY_NUMBERS else MAX_ROUNDS
 
@@ -457,7 +458,7 @@ def _count_rounds(data: PreparedRecords, order: int) -> int:
 def _refit(
     refined: RefinedModel, data: PreparedRecords, best: MethodCandidate, limit: TimeLimit
 ) -> tuple[RefinedModel, str]:
-    """Return the model fitted to all data, held-out ones included, and what was done; the one given where that fails."""
+    """Return the model fitted to all data, including held-out data, and a description; the given one if that fails."""
     if not data.whole or not data.holdout:
         return refined, "nothing was left to add"
     if limit.is_over("a fit to all data"):
@@ -481,7 +482,7 @@ def _widen(
     feedback: Feedback,
     limit: TimeLimit,
 ) -> RefinedModel:
-    """Return the model with standard errors that allow for missing modes, and for feedback where it is possible."""
+    """Return the model with standard errors that allow for missing modes, and for feedback if it is possible."""
     pairs, taken = [], best.states.taken
     if taken is not None:
         others = [

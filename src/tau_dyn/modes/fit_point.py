@@ -23,7 +23,7 @@ from tau_dyn.modes.state_space import StateSpace
 
 CHUNK = 8192  # samples at a time; arrays stay in the processor's cache
 MIN_LENGTH_SHARE = 0.7  # of the longest of the records that are walked through side by side: the rest is zeros
-DUST = 1e-60  # of a free response below this nothing is kept: products of such numbers make processors crawl
+DUST = 1e-60  # a free response below this is dropped: products of such numbers are very slow to compute
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,9 +78,9 @@ def build_columns(form: ModalForm, x0: np.ndarray, record: Record, chunk: int = 
 class DerivativeMaps:
     """Derivatives of the outputs with respect to the form's full vector, then Re and Im of each mode's first state.
 
-    Poles, inputs' shapes and first states move all outputs, by one complex column each:
-    `dy_o / d(shared[a]) = real[o, a] * Re column + imaginary[o, a] * Im column`. Entries of c and D move one output each, and all
-    outputs alike: `dy_o / d(own[o, b]) = columns @ own_map[:, b]`.
+    Poles, input shapes and first states move all outputs, by one complex column each:
+    `dy_o / d(shared[a]) = real[o, a] * Re column + imaginary[o, a] * Im column`. Entries of c and D move one output
+    each, in the same way for every output: `dy_o / d(own[o, b]) = columns @ own_map[:, b]`.
 
     Attributes:
         size: Numbers of the full vector and of the first states.
@@ -169,7 +169,7 @@ class FittedForm:
 
     @property
     def loss(self) -> float:
-        """Log det of that covariance; infinite where the model runs away."""
+        """Log det of that covariance; infinite if the model diverges."""
         if not np.isfinite(self.squares).all():
             return np.inf
         sign, value = np.linalg.slogdet(self.covariance)
@@ -283,7 +283,7 @@ def assemble_normal_equations(point: FitPoint, free: np.ndarray, weight: np.ndar
     """Assemble the normal equations.
 
     Args:
-        point: Where.
+        point: The point.
         free: Which numbers of the model's full vector are free (size,).
         weight: Weight between outputs (p, p); None takes the inverse covariance of the errors.
     """
@@ -357,21 +357,22 @@ def fit_input_matrices(A: np.ndarray, C: np.ndarray, records: Sequence[Record], 
 
 
 def solve_input_matrices(point: FitPoint, records: Sequence[Record], direct: np.ndarray | bool) -> FittedForm:
-    """Return the form of a point with its B, D and initial states, and nothing else, fitted anew.
+    """Return the form of a point with only its B, D and initial states fitted again.
 
-    The problem is linear, so that the point's products serve twice; the second solution weighs the outputs by their errors.
+    The problem is linear, so the point's products are used twice; the second solution weighs the outputs by their
+    errors.
     """
     layout = build_layout(point.form)
     free = free_numbers(point.form, np.asarray(direct))
     free[layout.pole], free[layout.c] = False, False
     fitted = _step_to(point, records, free, np.diag(1 / np.maximum(point.power, 1e-300)))
-    if len(fitted.power) == 1:  # a single output has nothing to be weighed against
+    if len(fitted.power) == 1:  # a single output needs no weight
         return fitted
     return _step_to(point, records, free, np.linalg.inv(fitted.covariance))
 
 
 def _step_to(point: FitPoint, records: Sequence[Record], free: np.ndarray, weight: np.ndarray) -> FittedForm:
-    """Return the form after the whole step in some numbers, and the covariance of what it leaves of the records."""
+    """Return the form after the full step in some numbers, and the covariance of its residuals on the records."""
     form, x0 = apply_step(point, assemble_normal_equations(point, free, weight).solve())
     errors = [record.y - simulate_form(form, x, record) for x, record in zip(x0, records, strict=True)]
     return FittedForm(form, x0, np.sum([e.T @ e for e in errors], axis=0), point.n_samples, point.power)

@@ -6,12 +6,12 @@ Z are those on rows of any L with L L' = Z Z'. The Gram matrix Z Z' has a displa
     G_{i+1,j+1} = G_{i,j} - z_i z_j' + z_{M+i} z_{M+j}'      (M columns),
 
 so that one block row, a correlation, gives all of it: O(N log N) for the samples, whatever the number of rows. Forming it
-squares the condition number; where that costs too many digits, a QR factorisation in chunks replaces it.
+squares the condition number; if that costs too many digits, a QR factorisation in chunks replaces it.
 
-ARX models, y_t = sum_k A_k y_{t-k} + sum_k B_k u_{t-d-k} + e_t, are linear least squares on these data. Of high order, one
-describes any linear system under any disturbance, also under feedback, at the price of many parameters; reduce it afterwards.
-References: Mastronardi, Kressner, Sima, Van Dooren, Van Huffel 2001 (fast subspace identification by displacement structure);
-Golub & Van Loan 2013, 5.3; Ljung 1999, 4.2, 10.1; Ljung & Wahlberg 1992 on high orders.
+ARX models, y_t = sum_k A_k y_{t-k} + sum_k B_k u_{t-d-k} + e_t, are linear least squares on these data. An ARX model of
+high order describes any linear system under any disturbance, also under feedback, at the cost of many parameters;
+reduce it afterwards. References: Mastronardi, Kressner, Sima, Van Dooren, Van Huffel 2001 (fast subspace identification
+by displacement structure); Golub & Van Loan 2013, 5.3; Ljung 1999, 4.2, 10.1; Ljung & Wahlberg 1992 on high orders.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ def _correlations(z: np.ndarray, rows: int) -> np.ndarray:
 
 
 def _cholesky(G: np.ndarray, forced: bool) -> np.ndarray | None:
-    """The Cholesky factor of a Gram matrix, None where it is too ill-conditioned to be trusted."""
+    """The Cholesky factor of a Gram matrix, None if it is too ill-conditioned."""
     size = np.sqrt(np.maximum(np.diag(G), 0.0))
     if not np.all(size > 0):
         return None

@@ -1,7 +1,8 @@
-"""From records to a first model of any order, by the method asked for; every method guards against instability.
+"""First models of any order from records, by the requested method; every method guards against instability.
 
-`n4sid` is the canonical variate analysis of `subspace.py`, `pbsid` bears feedback, `arx` reduces a long ARX model, `era` takes
-pulse tests. Refinement starts here and mends what these leave; which method suits the data is decided in `find.py`.
+`n4sid` is the canonical variate analysis of `subspace.py`, `pbsid` is consistent under feedback, `arx` reduces a long
+ARX model, `era` takes pulse tests. Refinement starts from these models and corrects their errors; the method is
+selected in `find.py`.
 
 Eigensystem realisation (Juang & Pappa 1985): the block-Hankel matrix of Markov parameters is Gamma times the controllability
 matrix; its singular vectors give A, B, C. A pulse test is the same with unknown initial states in place of inputs: once the
@@ -30,18 +31,18 @@ from tau_dyn.modes.subspace import choose_default_horizon, compress_subspace_dat
 MAX_BLOCK_ROWS = 100  # block rows
 MAX_COLUMNS = 3000  # columns over all inputs or decays
 PULSE_OVER = 0.02  # of its largest magnitude: below it the pulse counts as over
-HEARD = 0.8  # of a decay's energy, twice that time is looked at: quick modes drown in longer ones
+HEARD = 0.8  # of a decay's energy; twice that time is used: fast modes are hidden by noise in longer ones
 
 
 @dataclass(frozen=True, eq=False)
 class Realisation:
-    """What all orders share.
+    """The decomposition that all orders share.
 
     Attributes:
         U: Left singular vectors of the Hankel matrix.
         values: Singular values.
         shifted: U' H(1) V.
-        start: V' of the first column block: what B follows from.
+        start: V' of the first column block, from which B follows.
         p: Number of outputs.
     """
 
@@ -88,7 +89,7 @@ class EraFactors:
     Attributes:
         records: Aligned by the delay and scaled.
         scales: Their scales.
-        realisation: Of the decays after each pulse.
+        realisation: Realisation of the decays after each pulse.
         delay: Whole samples of delay.
     """
 
@@ -113,7 +114,7 @@ class EraFactors:
         return replace(point.form.state_space(), delay=self.delay, noise=point.covariance).unscaled(self.scales)
 
     def measure_loss(self, order: int) -> float:
-        """Return the log det of what the model of an order, or of fewer states where the decays are short, leaves."""
+        """Return log det of the residual covariance of an order's model, of fewer states if the decays are short."""
         most = min(self.realisation.shifted.shape) - self.realisation.p
         return fit_input_matrices(*self.dynamics(min(order, most)), self.records, True).loss + self.scales.log_size
 
@@ -145,7 +146,7 @@ def decompose_pulse_tests(records: Sequence[Record], *, delay: int = 0) -> EraFa
 
     Raises:
         CannotAnswer: A record's input never comes to rest.
-        InputError: What follows the pulses is too short.
+        InputError: The records after the pulses are too short.
     """
     scales = Scales.of(records)
     ready = tuple(record.aligned(delay).scaled(scales) for record in records)
@@ -205,7 +206,7 @@ def reduce_order(model: StateSpace, order: int) -> StateSpace:
 
 
 METHODS = ("n4sid", "pbsid", "arx", "era")
-ARX_LAGS = 60  # lags of the long ARX model, where the data can pay for them
+ARX_LAGS = 60  # lags of the long ARX model, if the data suffice for them
 SLOWEST = 1 - 1e-6  # largest magnitude of a pole that a first model may have
 
 Start = Callable[[int], StateSpace]
@@ -239,11 +240,11 @@ def build_initial_estimator(method: str, records: Sequence[Record], *, delay: in
 
 @dataclass(frozen=True, eq=False)
 class InitialModels:
-    """First looks at records under one delay.
+    """First poles and models of records under one delay.
 
     Attributes:
-        poles: From an order to poles (n,) in the z plane; cheap.
-        model: From an order to a first model.
+        poles: Function from an order to poles (n,) in the z plane; cheap.
+        model: Function from an order to a first model.
     """
 
     poles: Callable[[int], np.ndarray]
@@ -264,7 +265,7 @@ def estimate_first_poles(
         method: `n4sid`, `pbsid`, `arx` or `era`; poles come from the subspace method, or from `era` for pulses.
         records: To fit on.
         delay: Whole samples by which the inputs act late.
-        horizon: Block rows of past and of future; fewer where the records are short.
+        horizon: Block rows of past and of future; fewer if the records are short.
         decays: For `era`, the decays as the longest delay leaves them: their poles are those of every delay.
     """
     if method == "era":
@@ -292,7 +293,7 @@ def stabilise_poles(model: StateSpace) -> StateSpace:
 
 
 def _lags(records: Sequence[Record], highest: int) -> int:
-    """Return how many lags the samples can pay for: ten samples an unknown, and never fewer than the order needs."""
+    """Return the number of lags: at least ten samples per unknown, and never fewer lags than the order needs."""
     p, m = records[0].y.shape[1], records[0].u.shape[1]
     paid = sum(r.n_samples for r in records) // (10 * (p + m))
     needed = -(-highest // p)

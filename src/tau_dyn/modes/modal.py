@@ -5,18 +5,18 @@
 Standard errors of frequency and damping follow from the covariance of Re and Im of lambda by the delta method. Zeros are those
 of the whole matrix of transfer functions (transmission zeros), the z at which [A - zI, B; C, D] loses rank.
 
-In the stabilisation diagram a resonance of the structure appears at nearly the same frequency and damping in every model that
-is large enough; what noise makes of spare states wanders. A mode is `stable` where the model before it had one within their
-joint uncertainty (and at least 1 % in frequency and 20 % in damping, as is usual), `frequency` where only the frequency agrees,
-and `new` where nothing does (van der Auweraer & Peeters 2004).
+In the stabilisation diagram a resonance of the structure appears at nearly the same frequency and damping in every
+model that is large enough; modes that fit noise change from order to order. A mode is `stable` if the model of the next
+lower order has a mode within their joint uncertainty (and at least 1 % in frequency and 20 % in damping, as is usual),
+`frequency` if only the frequency agrees, and `new` otherwise (van der Auweraer & Peeters 2004).
 
-The covariance of an estimate assumes that its model holds the truth. Where another defensible model of the same data (a
-neighbouring order that simulates as well; the other method where feedback cannot be excluded) puts a mode elsewhere by d,
+The covariance of an estimate assumes that its model contains the truth. If another defensible model of the same data (a
+neighbouring order that simulates as well; the other method if feedback cannot be excluded) differs in a mode by d,
 
     s^2 = s_0^2 + max(0, d^2 - 4 |s_1^2 - s_0^2|)
 
-with s_1 the other's standard error: if both models hold the truth, the difference has the variance s_1^2 - s_0^2 (Hausman
-1978), and nothing is added in 95 % of cases. What lies beyond is model error and counts in full.
+with s_1 the other's standard error: if both models contain the truth, the difference has the variance s_1^2 - s_0^2
+(Hausman 1978), and no term is added in 95 % of cases. The excess is model error and is added in full.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ class Mode:
 
     Attributes:
         frequency_hz: Undamped natural frequency [Hz].
-        damping_ratio: Part of critical damping.
-        frequency_stderr: Standard error [Hz]; nan where not known.
-        damping_stderr: Standard error; nan where not known.
+        damping_ratio: Damping over critical damping.
+        frequency_stderr: Standard error [Hz]; nan if not known.
+        damping_stderr: Standard error; nan if not known.
         shape: Outputs of the mode (p,) complex, the largest of them 1, in the record's own units.
-        correlation: Between the errors of frequency and damping; nan where not known.
+        correlation: Correlation between the errors of frequency and damping; nan if not known.
     """
 
     frequency_hz: float
@@ -76,9 +76,9 @@ def find_resonances(model: StateSpace, covariance: np.ndarray | None = None) -> 
     """Return the resonances (pairs of poles whose response has a peak) of a model, lowest frequency first.
 
     Args:
-        model: The model. Real poles, and those whose damping ratio may reach 0.71, are no resonances and are left out: they are
-            what filters of sensors and slow drifts look like.
-        covariance: Covariance of the full vector of its `build_modal_form` (`Layout`); None where not known.
+        model: The model. Real poles, and those whose damping ratio may reach 0.71, are no resonances and are left out:
+            sensor filters and slow drifts have such poles.
+        covariance: Covariance of the full vector of its `build_modal_form` (`Layout`); None if not known.
     """
     form = build_modal_form(model)
     found = []
@@ -147,14 +147,14 @@ def _widen(mode: Mode, pairs: Sequence[tuple[Sequence[Mode], Sequence[Mode]]]) -
 
 
 def _nearest_mode(mode: Mode, others: Sequence[Mode]) -> Mode | None:
-    """Return the mode of another model that is the same one; None where there is none."""
+    """Return the corresponding mode of another model; `None` if it has no such mode."""
     close = [m for m in others if abs(m.frequency_hz - mode.frequency_hz) < MODE_EQUALITY_TOLERANCE * mode.frequency_hz]
     close = [m for m in close if m.damping_ratio < 10 * max(mode.damping_ratio, 1e-4)]
     return min(close, key=lambda m: abs(m.frequency_hz - mode.frequency_hz), default=None)
 
 
 def _excess(a: Mode, b: Mode) -> np.ndarray:
-    """Return what of the squared differences (2,) in frequency and damping chance does not explain."""
+    """Return the part of the squared differences (2,) in frequency and damping that chance does not explain."""
     d = np.array([a.frequency_hz - b.frequency_hz, a.damping_ratio - b.damping_ratio])
     s = np.array([[m.frequency_stderr, m.damping_stderr] for m in (a, b)])
     s = np.nan_to_num(s)
@@ -166,8 +166,8 @@ class Pole:
     """One pole, or one of a conjugate pair.
 
     Attributes:
-        s: In the s plane, Im >= 0 [rad/s].
-        covariance: Of real and imaginary part (2, 2); None where it is not known.
+        s: Position in the s plane, Im >= 0 [rad/s].
+        covariance: Covariance of real and imaginary part (2, 2); None if not known.
     """
 
     s: complex
@@ -242,8 +242,8 @@ class StabilityPoint:
         order: Number of states of its model.
         frequency_hz: Undamped natural frequency [Hz].
         damping_ratio: Damping over critical damping.
-        frequency_stderr: Standard error [Hz]; nan where unknown.
-        damping_stderr: Standard error; nan where unknown.
+        frequency_stderr: Standard error [Hz]; nan if unknown.
+        damping_stderr: Standard error; nan if unknown.
         kind: `stable`, `frequency` or `new`.
     """
 

@@ -44,15 +44,15 @@ def minimise(
     allowed: Callable[[ModalForm], bool] = lambda form: True,
     stop: Callable[[], bool] = lambda: False,
 ) -> Descent[FitPoint]:
-    """Walk down from a point; steps are counted without a last small one.
+    """Descend from a point; steps are counted without a last small one.
 
     Args:
         point: Where to start.
         records: Aligned and scaled.
         direct: Which entries of D are free (p, m).
         maximum_rounds: Most accepted steps.
-        allowed: Says whether a model may be visited at all.
-        stop: Asked before every step whether to end there.
+        allowed: Function that returns whether a model may be visited.
+        stop: Called before every step; returns whether to end there.
     """
     model = balance_model(append_initial_states(point))
     start = _Visit(model, evaluate(*split_initial_states(model, direct.shape[1]), records))
@@ -63,7 +63,7 @@ def minimise(
 
 @dataclass(frozen=True, eq=False)
 class _Visit:
-    """A balanced realisation whose further inputs are initial states, and the point it is; None where it may not be visited."""
+    """A balanced realisation whose further inputs are initial states, and its point; None if it may not be visited."""
 
     model: StateSpace
     point: FitPoint | None
@@ -168,7 +168,7 @@ def balance_model(model: StateSpace) -> StateSpace:
     n = model.order
     if not np.isfinite(model.A).all() or model.spectral_radius() >= 1:
         return model
-    with warnings.catch_warnings():  # a pole close to the unit circle; the check below sees what matters
+    with warnings.catch_warnings():  # a pole close to the unit circle; the check below detects failures
         warnings.simplefilter("ignore", LinAlgWarning)
         controllable, observable = compute_gramians(model)
     if not (np.isfinite(controllable).all() and np.isfinite(observable).all()):

@@ -105,7 +105,7 @@ def build_modal_form_with_coordinates(model: StateSpace) -> tuple[ModalForm, np.
 
 @dataclass(frozen=True, eq=False)
 class ModalLayout:
-    """Where each number of a modal form stands in the full vector.
+    """Positions of the numbers of a modal form in the full vector.
 
     The full vector holds for every mode Re, Im of lambda; Re (p), Im (p) of c; Re (m), Im (m) of b; then D row by row.
 
@@ -143,7 +143,7 @@ def build_layout(form: ModalForm) -> ModalLayout:
 
 
 def free_numbers(form: ModalForm, direct: np.ndarray) -> np.ndarray:
-    """Say which numbers of the full vector are free (size,), with the entries of D in `direct` (p, m)."""
+    """Return which numbers of the full vector are free (size,), with the entries of D in `direct` (p, m)."""
     layout = build_layout(form)
     free = np.ones(layout.size, dtype=bool)
     for imaginary in (layout.pole[:, 1:], layout.c[:, 1], layout.b[:, 1]):
@@ -172,11 +172,11 @@ def flatten_form(form: ModalForm) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class ResponseEstimate:
-    """An estimated modal form, seen as a frequency response.
+    """An estimated modal form, for its frequency response.
 
     Attributes:
-        form: The form, in scaled units: of the model, or of its predictor with inputs (u, y). Its delay acts on u only.
-        covariance: Of its full vector (size, size).
+        form: The form, in scaled units, of the model or of its predictor with inputs (u, y). Its delay acts on u only.
+        covariance: Covariance of its full vector (size, size).
         scales: The units.
         predictor: Whether the form is a predictor's; with its response [P_u, P_y] the model's is G = (I - P_y)^-1 P_u.
     """

@@ -1,9 +1,10 @@
-"""Mode shapes on the robot itself: what sensors saw moves the drawing, and a robot file's springs say what else should move.
+"""Mode shapes drawn on the robot: measured ones, and those computed from the springs of the robot file.
 
-A measured shape is known where sensors are. Outputs named by axis and place (`x_tool`, `ay_plate`) move that place; the body
-that carries the tool goes along without turning, and what joins it yields: rods of a parallel robot at one end, the
-links of a serial arm more the farther out they are. A robot file with springs has shapes of its own (`FlexibleModel`), in which
-every link moves as it must. The two are compared over the outputs by the modal assurance criterion,
+A measured shape is known only at the sensors. Outputs named by axis and place (`x_tool`, `ay_plate`) move that place.
+The body that carries the tool is drawn in translation without rotation, and the links joined to it are deformed: the
+rods of a parallel robot at one end, the links of a serial arm more the farther out they are. A robot file with springs
+has computed shapes (`FlexibleModel`), in which every link moves as the mechanism requires. The two are compared over
+the outputs by the modal assurance criterion,
 
     MAC = |a' b|^2 / (|a|^2 |b|^2),
 
@@ -32,11 +33,11 @@ _MAX_DUPLICATE_DISTANCE_M = 1e-4  # [m] between points that are one
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """A robot at home as points.
+    """A robot in its home position, as points.
 
     Attributes:
         links: Points (n, 3) [m] of every link that reaches from somewhere to somewhere else.
-        carries: Share (n,) of the tool's motion that each of these points follows where nothing more is known.
+        carries: Share (n,) of the tool's motion that each of these points follows if no other motion is known.
         rails: Both ends (2, 3) of the travel of every slide.
         joints: Where the actuated joints are (na, 3).
         places: Where sensors are, by the name of their place.
@@ -51,7 +52,7 @@ class Skeleton:
 
 @dataclass(frozen=True, eq=False)
 class MechanismFigure:
-    """A robot whose springs may move, and what of it is drawn: joints and frames, link by link."""
+    """A robot whose springs may move, with the joints and frames to draw, link by link."""
 
     robot: Robot
     solver: LoopSolver
@@ -77,7 +78,7 @@ class MechanismFigure:
         return np.array([self.home[j] for j in self.robot.actuated])
 
     def frame(self, place: str) -> int | None:
-        """Return the frame that a place's name means."""
+        """Return the frame that a place's name denotes."""
         if place == "tool":
             return self.robot.tool_frame
         model = self.robot.model
@@ -100,7 +101,7 @@ class MechanismFigure:
         return (data.oMi[number] if kind == "joint" else data.oMf[number]).translation.copy()
 
     def _marks(self) -> tuple[tuple[tuple[str, int], ...], ...]:
-        """Return what each link is drawn through: its own joint, its children's, its loops' ends and the tool."""
+        """Return the points of each link's drawing: its joint, its children's joints, its loops' ends and the tool."""
         model, robot = self.robot.model, self.robot
         ends = [end for loop in robot.loops for end in (loop.frame_a, loop.frame_b)]
         ends += [] if robot.tool_frame is None else [robot.tool_frame]
@@ -198,9 +199,9 @@ class ModePair:
     """A measured mode, and the robot file's own mode that is most like it.
 
     Attributes:
-        measured: As sensors saw it.
-        model: From the file's springs; None where it has none, or none is near.
-        mac: Modal assurance criterion of the two over the outputs; nan where there is no model.
+        measured: The mode measured by the sensors.
+        model: The mode computed from the file's springs; None if the file has no springs or no such mode is near.
+        mac: Modal assurance criterion of the two over the outputs; nan without a model.
     """
 
     measured: ModeShape
@@ -239,7 +240,7 @@ def find_sensed_places(outputs: Sequence[str]) -> dict[str, dict[int, int]]:
 
 
 def project_shapes_on_robot(robot: Robot, modes: Sequence[Mode], outputs: Sequence[str]) -> ShapesOnRobot | None:
-    """Return measured modes on a robot, beside its own; None where no output names a place of it or it cannot be drawn."""
+    """Return measured modes paired with the robot file's; None if no output names a place or it cannot be drawn."""
     try:
         figure = MechanismFigure.of(robot)
     except TauDynError:
@@ -276,7 +277,7 @@ def _scaled(frequency: float, damping: float, links: Sequence[np.ndarray], arrow
 
 
 def _own(figure: MechanismFigure, places: dict[str, dict[int, int]], rest: list[np.ndarray]) -> list[ModeShape]:
-    """Return the modes of the robot file's springs, slowest first; none where it has none."""
+    """Return the modes of the robot file's springs, slowest first; empty if it has no springs."""
     if figure.flexible is None:
         return []
     found = []
@@ -298,7 +299,7 @@ def _own(figure: MechanismFigure, places: dict[str, dict[int, int]], rest: list[
 
 
 def compute_mac(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the modal assurance criterion of two shapes (p,) complex; 0 where one is zero."""
+    """Return the modal assurance criterion of two shapes (p,) complex; 0 if one is zero."""
     size = float(np.vdot(a, a).real * np.vdot(b, b).real)
     return float(abs(np.vdot(a, b)) ** 2 / size) if size > 0 else 0.0
 

@@ -4,15 +4,17 @@ Under unknown forces that are white over the band of interest, the correlations 
 
     R_k = E[y_{t+k} y_t'] = C A^{k-1} G,     H = [R_{i+j+1}] = O [G, A G, ...],     O = [C; C A; ...],
 
-so that the left singular vectors of the block-Hankel matrix H give A and C. Modes at the same place in the models of most
-orders belong to the structure; what noise makes of spare states wanders. Standard errors are those of the delete-one-block
-jackknife of the correlations, to first order the covariance propagation of Reynders, Pintelon & De Roeck 2008 and Döhler &
-Mevel 2013, and what models of other orders differ by. References: Peeters & De Roeck 1999 (SSI-cov); Efron & Stein 1981.
+so that the left singular vectors of the block-Hankel matrix H give A and C. Modes that agree between the models of most
+orders belong to the structure; modes that fit noise change from order to order. Standard errors combine the
+delete-one-block jackknife of the correlations, to first order the covariance propagation of Reynders, Pintelon & De
+Roeck 2008 and Döhler & Mevel 2013, with the differences between models of other orders. References: Peeters & De Roeck
+1999 (SSI-cov); Efron & Stein 1981.
 
-A sensor that moves on makes several set-ups, which share outputs that stay in their places (references). Each set-up gives modes
-of its own; the same mode of all has the mean of its frequencies and damping ratios, each weighed by its covariance, and a shape
-phi_s of a set-up is scaled to that of the first by its references, c = phi_s^ref' phi_1^ref / |phi_s^ref|^2. So set-ups need not
-be excited alike. Reference: Reynders, Magalhães, De Roeck & Cunha 2009 (PoSER merging).
+Sensors that are moved between tests make several set-ups, which share outputs that stay in their places (references).
+Each set-up gives its own modes. A mode found in all set-ups has the mean of their frequencies and damping ratios, each
+weighed by its covariance. The shape phi_s of a set-up is scaled to that of the first by its references, c = phi_s^ref'
+phi_1^ref / |phi_s^ref|^2. So the excitation of the set-ups may differ. Reference: Reynders, Magalhães, De Roeck & Cunha
+2009 (PoSER merging).
 """
 
 from __future__ import annotations
@@ -38,7 +40,7 @@ N_BLOCKS = 30  # blocks of the jackknife: a standard error is then known to 13 %
 MIN_BLOCK_PERIODS = 10  # periods of a mode that a block must hold, so that blocks are independent
 MIN_MAC = 0.9  # modal assurance criterion above which two shapes are the same
 STABLE_SHARE = 0.7  # share of orders, from its first on, in which a mode of the structure appears
-MAX_DAMPING = 0.2  # damping ratio above which forces that are not white cannot be told from a mode
+MAX_DAMPING = 0.2  # damping ratio above which coloured forces cannot be distinguished from a mode
 MAX_FREQUENCY_STDERR = 0.02  # relative standard error above which a frequency is not known
 MAX_DAMPING_STDERR = 0.3  # relative standard error above which a damping ratio is hardly known
 MAX_SETUP_DIFFERENCE = 0.05  # relative difference of frequencies up to which two set-ups may show the same mode
@@ -55,8 +57,8 @@ def find_operational_modes(
     Args:
         logs: Logs; never joined in time. Logs with different outputs are set-ups of one test, whose sensors moved on.
         outputs: Columns that respond; each is in one log at least, and at least one in all.
-        order: The highest order of model; `auto` takes 40, or what the data carry.
-        seed: Kept with the result; nothing here is random.
+        order: The highest model order; `auto` takes 40, or less if the data do not suffice.
+        seed: Kept with the result; the method is deterministic.
 
     Raises:
         InputError: A column or an option does not fit.
@@ -116,7 +118,7 @@ class _SetUp:
 
 @dataclass(frozen=True, eq=False)
 class _Analysis:
-    """Modes of a set-up, those of all orders, and what is doubtful."""
+    """Modes of a set-up, modes of all orders, and warnings."""
 
     modes: tuple[Mode, ...]
     by_order: Mapping[int, tuple[Mode, ...]]
@@ -131,7 +133,7 @@ def _divide(logs: Sequence[Log], outputs: tuple[str, ...]) -> list[_SetUp]:
     """
     held = [tuple(name for name in outputs if name in log.channels) for log in logs]
     if any(not any(name in names for names in held) for name in outputs) or len(logs) == 1:
-        held = [outputs for _ in logs]  # `build_records` says what is missing
+        held = [outputs for _ in logs]  # `build_records` reports the missing columns
     elif not set.intersection(*map(set, held)):
         listed = "; ".join(f"{log.name} has {', '.join(some) or 'none'}" for log, some in zip(logs, held, strict=True))
         raise InputError(
@@ -177,7 +179,7 @@ def _analyse(setup: _SetUp, order: str | int) -> _Analysis:
 def _join(
     modes: Sequence[Sequence[Mode]], setups: Sequence[_SetUp], outputs: tuple[str, ...]
 ) -> tuple[tuple[Mode, ...], tuple[str, ...]]:
-    """Return the modes that every set-up shows, over all outputs, and what is to be said of it."""
+    """Return the modes that every set-up shows, over all outputs, and the warnings."""
     fixed = [name for name in outputs if all(name in one.outputs for one in setups)]
     moved = "; ".join(f"{one.names}: {', '.join(n for n in one.outputs if n not in fixed)}" for one in setups)
     said: list[str] = [f"{len(setups)} set-ups are joined by {', '.join(fixed)} ({moved})"]
@@ -257,7 +259,7 @@ def _correlate_blocks(records: Sequence[Record], lags: int) -> tuple[np.ndarray,
 
 @dataclass(frozen=True, eq=False)
 class _Subspace:
-    """What models of all orders need: products of the singular vectors without their last or first p rows, and the first p."""
+    """Data for models of all orders: products of the singular vectors without the last or first p rows, and the first p."""
 
     normal: np.ndarray
     shifted: np.ndarray
@@ -336,7 +338,7 @@ def _select_stable_modes(found: dict[int, tuple[Mode, ...]]) -> tuple[Mode, ...]
 
 
 def _known(mode: Mode) -> bool:
-    """Tell whether a mode is damped like one of a structure, and its frequency known."""
+    """Return whether a mode is damped like one of a structure and its frequency is known."""
     return mode.damping_ratio < MAX_DAMPING and mode.frequency_stderr < MAX_FREQUENCY_STDERR * mode.frequency_hz
 
 
@@ -367,7 +369,7 @@ def _take(chain: Sequence[tuple[int, Mode]]) -> Mode:
 
 
 def _same(a: Mode, b: Mode) -> bool:
-    """Tell whether two orders hold the same mode: frequency and shape (van der Auweraer & Peeters 2004)."""
+    """Return whether two orders hold the same mode: frequency and shape (van der Auweraer & Peeters 2004)."""
     if abs(a.frequency_hz - b.frequency_hz) > FREQUENCY_TOLERANCE * a.frequency_hz:
         return False
     inner = abs(np.vdot(a.shape, b.shape)) ** 2
@@ -375,7 +377,7 @@ def _same(a: Mode, b: Mode) -> bool:
 
 
 def _warn(modes: Sequence[Mode], block_seconds: float) -> tuple[str, ...]:
-    """Return what is doubtful about the modes."""
+    """Return the warnings about the modes."""
     said: list[str] = []
     slow = [m for m in modes if m.frequency_hz * block_seconds < MIN_BLOCK_PERIODS]
     if slow:

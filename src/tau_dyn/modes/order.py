@@ -1,16 +1,17 @@
-"""How many states: no single number says it, so several are looked at together.
+"""Selection of the model order from several criteria together, because no single one is reliable.
 
-One factorisation of three quarters of the training data gives first models of any order up to a high one; some orders simulate
-the last quarter (the held-out data stay out of it), in steps that are halved below the smallest one that is enough. Near that
-one, models are refined and compared again, until the neighbours of the leading order are known. Among the refined and stable,
+One factorisation of three quarters of the training data gives first models of any order up to a high one. Models of
+some orders simulate the last quarter (held-out data are not used), in steps that are halved below the smallest
+sufficient order. Near that order, models are refined and compared again, until the neighbours of the best order are
+known. Among the refined and stable models,
 
 1. the smallest order that simulates that quarter as well as the best, within two standard errors of paired blocks, is taken;
-2. where BIC asks for more states, they are granted if they do not simulate worse and what is left is white, which is what BIC
+2. if BIC selects more states, they are accepted if they do not simulate worse and the residuals are white, as BIC
    assumes;
-3. where BIC asks for fewer and what is left is white, those are enough up to four standard errors: the best of many orders is
-   better by chance.
+3. if BIC selects fewer and the residuals are white, those are accepted up to four standard errors: the best of many
+   orders is better by chance.
 
-Hannan & Deistler 1988 on what the criteria can and cannot tell.
+Reference: Hannan & Deistler 1988 (properties of the criteria).
 """
 
 from __future__ import annotations
@@ -44,26 +45,26 @@ from tau_dyn.results import Brief
 SELECT_SHARE = 0.25  # of the training data on which orders are compared
 MAX_SAMPLES = 6_000  # samples that the orders are compared on
 PULSE = 500  # samples of each pulse that are kept in any case
-MAX_ORDER = 60  # highest order that is looked at unless one is asked for: thirty modes in the band of one test
+MAX_ORDER = 60  # highest order that is tried unless one is requested: thirty modes in the band of one test
 MAX_PREDICTED_ORDER = 24
-"""The same where one-step predictions are compared, whose first models cost a factorisation each."""
-SCAN_SHARE = 0.6  # of a time limit after which no further first model is looked at
-COARSE_RATIO = 1.3  # of an order to the one before it in the first look at orders above the small ones
+"""The same if one-step predictions are compared, whose first models cost a factorisation each."""
+SCAN_SHARE = 0.6  # of a time limit after which no further first model is tried
+COARSE_RATIO = 1.3  # of an order to the one before it in the coarse scan of orders above the small ones
 SMALL = 8  # up to this order all even ones below are refined, which costs little and fills the stabilisation diagram
 BEYOND = 4  # orders that are refined above the leading one: a diagram needs them, a choice does not
 NEIGHBOURS = 4
 """States by which a model may differ, whose modes standard errors have to allow for if it simulates as well."""
 MAX_REFINED_MODELS = 14
-"""Models that are refined to compare orders; a walk that has not ended by then stays where it is."""
+"""Models that are refined to compare orders; an unfinished search then keeps its current order."""
 MANY_NUMBERS = 100
 """Free numbers of a model beyond which standard errors of trials are left out and fewer rounds are spent."""
 MAX_ITERATIONS = 4  # Gauss-Newton steps for a candidate order; enough to rank it
 TOLERANCE = 2.0  # standard errors of the paired difference within which the smaller order is as good
 MAX_BEHIND_WHITE = 4.0
-"""The same for an order that leaves white noise and that BIC takes."""
+"""The same for an order with white residuals that BIC selects."""
 PATIENCE = 16  # orders without any gain after which the scan stops, once it has explained most of what moves
-MIN_WHITE_P_VALUE = 0.001  # over all outputs, from which on what is left counts as white
-GOOD_FIT_PERCENT = 80.0  # fit from which on patience counts: modes that come in late show only when most of them are in
+MIN_WHITE_P_VALUE = 0.001  # over all outputs, from which on the residuals count as white
+GOOD_FIT_PERCENT = 80.0  # fit from which on `PATIENCE` applies: modes that enter late appear only after most others
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,11 +79,12 @@ class OrderTrial:
         fit_percent: Mean fit on the quarter that it was not fitted to [%].
         behind: Standard errors by which its errors there exceed the best ones; 0 for the best.
         stable: Whether all poles lie inside the unit circle.
-        white: Whether what it leaves is white.
+        white: Whether its residuals are white.
         modes: Its modes, with standard errors near the order taken (`add_standard_errors`).
         model: The model itself.
         refined: Whether it was refined; first models are shown, but not chosen from.
-        plain: Whether refinement was tried and made the simulation of other data worse, so that the first model stands.
+        plain: Whether refinement was tried and made the simulation of other data worse, so that the first model is
+            kept.
         path: How it was refined, from which standard errors follow.
     """
 
@@ -108,15 +110,15 @@ class OrderTrial:
 
 @dataclass(frozen=True, eq=False)
 class OrderChoice(Brief):
-    """The order, and what was known when it was chosen.
+    """The order and the evidence for it.
 
     Attributes:
         order: The order taken.
         trials: All orders that were tried, lowest first.
-        by: What each criterion alone would have taken: `aic`, `bic`, `simulation`.
+        by: Order that each criterion alone would select: `aic`, `bic`, `simulation`.
         why: The reason, as a sentence.
-        chosen: Whether it was chosen here; False where it was asked for.
-        limit: The highest order that was looked at, where more states may help; 0 where it does not bind.
+        chosen: Whether it was chosen here; False if it was requested.
+        limit: The highest order that was tried, if more states may help; 0 if it does not bind.
     """
 
     order: int
@@ -128,7 +130,7 @@ class OrderChoice(Brief):
 
     @property
     def taken(self) -> OrderTrial | None:
-        """The trial of the order taken; None where there is none."""
+        """The trial of the order taken; `None` without one."""
         return next((t for t in self.refined if t.order == self.order), None)
 
     @property
@@ -160,9 +162,9 @@ def choose_order(
         start: Gives, for records, a function from an order to a first model.
         orders: Orders to refine; the neighbourhood of the best up to 60, where not given.
         kind: `output_error` or `prediction_error`.
-        asked: An order that is wanted in any case; the trials then only show what it is among.
+        asked: An order that is used in any case; the trials then serve for comparison only.
         pulses: Whether each record is a pulse and its decay, which must not be cut.
-        progress: Told what is done.
+        progress: Called with a description of each step.
         limit: Ends the search once one order has been refined.
 
     Raises:
@@ -210,7 +212,7 @@ def add_standard_errors(choice: OrderChoice) -> OrderChoice:
 
 @dataclass(frozen=True, eq=False)
 class _Row:
-    """A trial, with the errors (N, p) that it leaves of what it was not fitted to, and their spread."""
+    """A trial, with its errors (N, p) on data that it was not fitted to, and their spread."""
 
     trial: OrderTrial
     kept: list[np.ndarray]
@@ -219,7 +221,7 @@ class _Row:
 
 @dataclass(eq=False)
 class _Search:
-    """What tries orders, and what it has refined so far."""
+    """The search over orders, with the models refined so far."""
 
     fitted: Sequence[Record]
     kept: Sequence[Record]
@@ -236,7 +238,7 @@ class _Search:
         self.apart = self.kept is not self.fitted
 
     def compare(self, others: Iterable[_Row] = ()) -> tuple[OrderTrial, ...]:
-        """Return the refined trials and others, lowest order first, beside the best refined one."""
+        """Return the refined trials and others, lowest order first, compared with the best refined one."""
         best = min(self.rows, key=lambda row: row.lost)
         trials = [
             row.trial if row is best else replace(row.trial, behind=compare_errors_paired(row.kept, best.kept))
@@ -245,17 +247,17 @@ class _Search:
         return tuple(sorted(trials, key=lambda trial: trial.order))
 
     def lead(self, rows: Sequence[_Row]) -> _Row:
-        """Return the best of some rows: by what they leave of other data, or by BIC where there are none."""
+        """Return the best of some rows, by their errors on other data, or by BIC if there are no other data."""
         return min(rows, key=lambda row: row.lost if self.apart else row.trial.bic)
 
     def is_as_good(self, row: _Row, best: _Row) -> bool:
-        """Return whether a row leaves as little of other data as the best one."""
+        """Return whether a row's errors on other data are as small as those of the best one."""
         return row is best or (self.apart and compare_errors_paired(row.kept, best.kept) <= TOLERANCE)
 
     def scan(self, orders: Sequence[int]) -> list[_Row]:
-        """Return first models of orders, unrefined: a coarse look, then halves of the step below the one that is enough.
+        """Return first models of orders, unrefined: a coarse scan, then halved steps below the smallest sufficient order.
 
-        The coarse look stops where the data are explained and no order gains.
+        The coarse scan stops when the data are explained and no order improves the fit.
         """
         rows: list[_Row] = []
         coarse, tried = list(_thin(orders)), set[int]()
@@ -279,7 +281,7 @@ class _Search:
         return rows
 
     def _look(self, order: int) -> list[_Row]:
-        """Return the first model of an order; nothing where there is none."""
+        """Return the first model of an order, as a list; empty if there is no stable model."""
         try:
             row = self._judge(self.make(order))
         except (TauDynError, np.linalg.LinAlgError):
@@ -287,7 +289,7 @@ class _Search:
         return [] if row is None else [row]
 
     def _enough(self, rows: Sequence[_Row]) -> OrderTrial | None:
-        """Return the trial of the smallest order that is as good as the best; None where there are none."""
+        """Return the trial of the smallest order that is as good as the best; `None` without trials."""
         if not rows:
             return None
         best = self.lead(rows)
@@ -314,9 +316,9 @@ class _Search:
                 return
 
     def bracket(self, highest: int) -> None:
-        """Refine doubled orders until no more are chosen, then middles beside the chosen one.
+        """Refine doubled orders until the choice stops growing, then orders midway to the neighbours of the chosen one.
 
-        First models of pulses do not tell which order refined ones take.
+        First models of pulses do not show which order refined models need.
         """
         leading, tried = 0, 0
         for order in (*(n for n in (2, 4, 8, 16, 32) if n < highest), 2 * (highest // 2)):
@@ -335,14 +337,14 @@ class _Search:
 
     @property
     def leading(self) -> int:
-        """The order that is chosen of those refined so far; 0 where there are none."""
+        """The order chosen among those refined so far; 0 without any."""
         return _chosen(self.compare(), self.apart).order if self.rows else 0
 
     def refine(self, order: int) -> None:
-        """Add a refined model of an order, once, where the data can pay for it and there is one.
+        """Add a refined model of an order, once, if the data are sufficient for it and it exists.
 
-        Where refinement makes the simulation of other data worse, the first model stands: likelihood under white errors and
-        correlated outputs is not what a simulation is asked for.
+        If refinement makes the simulation of other data worse, the first model is kept: the likelihood under white
+        errors and correlated outputs is not a criterion of simulation.
         """
         if order < 1 or order in self.tried or order not in self.affordable or len(self.tried) >= MAX_REFINED_MODELS:
             return
@@ -365,11 +367,11 @@ class _Search:
             self.rows.append(replace(row, trial=replace(row.trial, refined=True, **changed)))
 
     def _judge(self, model: StateSpace) -> _Row | None:
-        """Return how a model does on what it was fitted to and on what it was not; None where it is not stable."""
+        """Return the quality of a model on its training data and on other data; `None` if it is not stable."""
         if model.spectral_radius() >= 1:
             return None
         if self.kind != SIMULATED and np.abs(np.linalg.eigvals(model.A - model.K @ model.C)).max(initial=0) >= 1:
-            return None  # its predictor runs away
+            return None  # its predictor is unstable
         errors, others = (compute_residuals(model, records, self.kind) for records in (self.fitted, self.kept))
         if not all(np.isfinite(e).all() for e in (*errors, *others)):
             return None
@@ -415,7 +417,7 @@ def _chosen(trials: Sequence[OrderTrial], apart: bool) -> OrderChoice:
 
 
 def select_pulses(records: Sequence[Record]) -> tuple[Sequence[Record], Sequence[Record]]:
-    """Return pulses to fit on and some to compare on; all of them twice where none can be spared."""
+    """Return pulses to fit on and some to compare on; all of them for both if there are too few."""
     records = truncate_records(records, MAX_SAMPLES, PULSE)
     fitted, kept = split_pulses(records, SELECT_SHARE)
     return (fitted, kept) if kept else (records, records)
@@ -430,7 +432,7 @@ def select_parts(records: Sequence[Record]) -> tuple[list[Record], list[Record]]
 
 
 def _thin(orders: Sequence[int]) -> Iterator[int]:
-    """Yield the orders of the coarse look: all small ones, then steps of a third or so, and the last one."""
+    """Yield the orders of the coarse scan: all small ones, then steps of about a third, and the last one."""
     last = 0
     for order in orders:
         if order <= SMALL or order >= COARSE_RATIO * last or order == orders[-1]:

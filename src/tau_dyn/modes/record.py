@@ -1,9 +1,9 @@
-"""What went in: records from logs, pulses recognised, the operating point taken off, a part held out; the rest is refused.
+"""Preparation of records from logs: pulse detection, removal of the operating point, held-out data, and checks.
 
-A linear model speaks of deviations. Their origin is the mean of the training part of each record (the same for its
-held-out part), a held-out log's own mean, and of an impulse test the level to which it decays. Held out are the last
-30 % of every record, the last 30 % of the pulses where there are several, or logs that are given; they serve for
-judging and for nothing else.
+A linear model describes deviations. Their origin is the mean of the training part of each record (the same for its
+held-out part), a held-out log's own mean, and for an impulse test the level to which it decays. The held-out data are
+the last 30 % of every record, the last 30 % of the pulses if there are several, or the given logs; they are used only
+for validation.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ class Record:
     """One stretch of inputs and outputs.
 
     Attributes:
-        u: Inputs (N, m); `m` may be 0 where only a response was measured.
+        u: Inputs (N, m); `m` is 0 if only a response was measured.
         y: Outputs (N, p).
         dt: Sampling step [s].
         inputs: Names of the inputs.
         outputs: Names of the outputs.
         name: The log it came from.
-        reference: What a feedback loop was asked for (N, r), where it was logged; None where not.
-        input_noise: Standard deviation of the inputs' noise where they are not zero (m,); None where it counts as none.
+        reference: Reference of a feedback loop (N, r); None if it was not logged.
+        input_noise: Standard deviation of the noise of nonzero inputs (m,); None if it is neglected.
     """
 
     u: np.ndarray
@@ -73,7 +73,7 @@ class Record:
 
 @dataclass(frozen=True, eq=False)
 class Scales:
-    """Root mean squares of the columns, so that unlike units weigh alike inside the engines.
+    """Root mean squares of the columns, which give different units equal weight in the computation.
 
     Attributes:
         u: Inputs (m,).
@@ -102,7 +102,7 @@ class Scales:
 
 
 def truncate_records(records: Sequence[Record], longest: int, least: int = 40) -> list[Record]:
-    """Return the beginnings of records, so many samples in all, and none shorter than `least` where it has them."""
+    """Return the beginnings of records, about `longest` samples in all, `least` or more from each if it has them."""
     share = min(1.0, longest / sum(r.n_samples for r in records))
     return [r.window(slice(0, max(least, round(share * r.n_samples)))) for r in records]
 
@@ -117,7 +117,7 @@ def check_alike(records: Sequence[Record]) -> None:
     """Refuse records that one model cannot explain together.
 
     Raises:
-        InputError: There is none, they differ in step or columns, or hold numbers that are not finite.
+        InputError: There are no records, they differ in step or columns, or contain numbers that are not finite.
     """
     if not records:
         raise InputError("missing_input", "there is no record to identify from")
@@ -176,13 +176,13 @@ def build_records(
 
 TRAIN_SHARE = 0.7  # of each record; the rest is held out
 STEADY_STATE_SHARE = 0.2  # last share of a pulse's record, whose mean is the level that it decays to
-PULSE_SHARE = 0.03  # inputs that are away from rest for a smaller share of the time than this are pulses
+PULSE_SHARE = 0.03  # inputs that differ from rest for a smaller share of the time than this are pulses
 PULSE_LEAD = 30  # samples of rest kept before a pulse: more than any delay that is tried
 PULSE_ROOM = 100  # samples that a pulse's response needs, at least
-SAMPLES_PER_CHANNEL = 40  # training samples for each input and output; with fewer there is nothing to choose from
-PULSES = 10_000  # samples of all pulses together that are fitted to: the ends of long decays say little more
-MAX_REST_SAMPLES = 20_000  # samples in which rest is looked for at a record's begin
-LIVE_SHARE = 0.2  # of its standard deviation over the record: a channel that varies by more goes on
+SAMPLES_PER_CHANNEL = 40  # training samples for each input and output; fewer do not suffice to choose a model
+PULSES = 10_000  # samples of all pulses together that are fitted to: the ends of long decays add little information
+MAX_REST_SAMPLES = 20_000  # samples at a record's begin in which rest is searched
+LIVE_SHARE = 0.2  # of its standard deviation over the record: a channel that varies by more is active
 STEP_TOLERANCE = 1e-3  # relative difference of sampling rates that counts as one rate
 
 
@@ -191,12 +191,12 @@ class PreparedRecords:
     """Records ready for identification.
 
     Attributes:
-        train: To fit on.
-        holdout: To judge on; empty where nothing could be kept.
-        kind: `driven`, or `impulse` where each record is a short pulse and its decay.
-        how_held: What was held out, in words.
+        train: Training records.
+        holdout: Held-out records for validation; empty if no data could be reserved.
+        kind: `driven`, or `impulse` if each record is a short pulse and its decay.
+        how_held: Description of the held-out data.
         warnings: Sentences.
-        whole: What the final model is fitted to: all data, but for logs that were given to judge on; empty means `train`.
+        whole: Records for the final model: all data except logs given for validation; empty means `train`.
     """
 
     train: tuple[Record, ...]
@@ -226,7 +226,7 @@ def prepare_records(
         logs: Logs to fit on.
         inputs: Columns that excite.
         outputs: Columns that respond.
-        holdout: Logs to judge on.
+        holdout: Logs for validation.
         references: Columns that a feedback loop was asked to follow.
 
     Raises:
@@ -293,7 +293,7 @@ def _is_pulses(record: Record) -> bool:
 
 
 def _list_dead_sensors(log: Log, inputs: Sequence[str], outputs: Sequence[str]) -> list[CodedWarning]:
-    """Return a warning for each output that keeps one value for long while the other channels go on."""
+    """Return a warning for each output that keeps one value for long while the other channels are active."""
     found = []
     for name in outputs:
         others = [log.channels[c] for c in (*inputs, *outputs) if c != name and c in log.channels]
@@ -326,7 +326,7 @@ def _pulses(train: list[Record], held: list[Record], warnings: tuple[str, ...]) 
 def split_pulses(pulses: Sequence[Record], share: float) -> tuple[list[Record], list[Record]]:
     """Return pulses to fit on, and a share to compare on: the last ones at each place that was hit more than once.
 
-    None are kept apart where those that are left would not hit every input on its own.
+    No pulses are reserved if the remaining ones would not excite every input separately.
     """
     peaks = np.array([np.abs(p.u).max(axis=0) for p in pulses])
     strongest = np.maximum(peaks.max(axis=0), 1e-300)
@@ -417,8 +417,9 @@ def _refuse_records(train: Sequence[Record], held: Sequence[Record], channels: i
 def estimate_operating_point(record: Record) -> tuple[np.ndarray, np.ndarray]:
     """Return inputs (m,) and outputs (p,) at rest: the inputs' mean, and the outputs that go with it.
 
-    Means of both do not belong together, because outputs still ring at a record's ends; what that leaves would be taken
-    for a slow pole. A long ARX model with a constant gives the outputs at rest: y_t = c + sum A_k y_{t-k} + sum B_k u_{t-k}.
+    The means of inputs and outputs are not consistent, because outputs still oscillate at a record's ends; the
+    difference would be modelled as a slow pole. A long ARX model with a constant gives the outputs at rest:
+    y_t = c + sum A_k y_{t-k} + sum B_k u_{t-k}.
     """
     u, y = record.u[:MAX_REST_SAMPLES], record.y[:MAX_REST_SAMPLES]
     mean_u, mean_y, spread = record.u.mean(axis=0), record.y.mean(axis=0), record.y.std(axis=0)

@@ -93,7 +93,7 @@ def propagate_covariance(
 
     Args:
         form: The form that was estimated.
-        covariance: Of its free numbers (f, f).
+        covariance: Covariance of its free numbers (f, f).
         direct: Which entries of its D are free.
         change: Makes the other form, its modes in any order and scale.
         reference: The other form at the estimate.
@@ -118,7 +118,7 @@ def propagate_covariance(
 
 
 def _followed(form: ModalForm, reference: ModalForm) -> np.ndarray:
-    """The full vector of a form with its modes ordered and normalised like those of a neighbour; nan where one is lost."""
+    """The full vector of a form with its modes ordered and normalised like those of a neighbour; nan for lost modes."""
     order = [int(np.argmin(np.abs(form.poles - pole))) for pole in reference.poles]
     lost = [
         order.count(k) > 1 or form.oscillates[k] != pair for k, pair in zip(order, reference.oscillates, strict=True)
@@ -246,9 +246,8 @@ class RefinedModel:
 
     Attributes:
         model: The model; real block-diagonal for output errors.
-        covariance: Of the full vector of `build_modal_form(model)`, see `Layout` (size, size); fixed numbers have zero rows,
-        modes
-            that cannot be told apart (poles about to meet on the real axis) rows of nan.
+        covariance: Covariance of the full vector of `build_modal_form(model)`, see `Layout` (size, size); fixed numbers
+            have zero rows, modes that cannot be distinguished (poles about to meet on the real axis) have rows of nan.
         modes: Its resonances with standard errors.
         loss: log det of the residuals' covariance, in the outputs' own units.
         residuals: Residuals record by record (N_r - delay, p), in the outputs' own units.
@@ -256,7 +255,7 @@ class RefinedModel:
         rounds: Accepted steps.
         converged: Whether the last step was small against the standard errors.
         kind: "output_error" or "prediction_error".
-        estimate: What was estimated, from which the response's covariance follows.
+        estimate: The estimated modal form, from which the response's covariance follows.
     """
 
     model: StateSpace
@@ -272,7 +271,7 @@ class RefinedModel:
 
     @property
     def theta(self) -> np.ndarray:
-        """Full vector (size,) of the model's modal form, the one that `covariance` speaks of."""
+        """Full vector (size,) of the model's modal form, to which `covariance` refers."""
         return flatten_form(build_modal_form(self.model))
 
     def model_at(self, theta: np.ndarray) -> StateSpace:
@@ -298,13 +297,13 @@ def refine(
     """Refine a model on records.
 
     Args:
-        model: Where to start; unstable poles are mirrored.
+        model: Start of the search; unstable poles are mirrored.
         records: Unbroken stretches of inputs and outputs.
         kind: "output_error", or "prediction_error" for innovation form (disturbances inside the loop, feedback).
         direct: Whether D may differ from zero; None as in the model given.
         maximum_rounds: Most accepted steps.
-        covariance: Whether to work out uncertainties; without them every standard error is nan, in half the time.
-        stop: Asked before every step whether to end there.
+        covariance: Whether to compute uncertainties; without them every standard error is nan, in half the time.
+        stop: Called before every step; returns whether to end there.
 
     Raises:
         InputError: The kind is unknown or the records do not fit the model.
@@ -315,13 +314,13 @@ def refine(
 
 @dataclass(frozen=True, eq=False)
 class RefinementPath:
-    """Where the descent of a model to a set of records ended, before uncertainties are worked out.
+    """End of the descent of a model to a set of records, before uncertainties are computed.
 
     Attributes:
-        model: Where it started.
+        model: Start of the descent.
         kind: As of `refine`.
         scales: Units of the descent.
-        records: The records that were walked through, in these units.
+        records: The records used, in these units.
         free: Which entries of D were free.
         as_model: The model of a form, in these units.
         path: The descent.
@@ -390,7 +389,7 @@ def descend_to_fit(
     maximum_rounds: int = 40,
     stop: Callable[[], bool] = lambda: False,
 ) -> RefinementPath:
-    """Walk from a model down to the one that fits records best; see `refine`."""
+    """Descend from a model to the one that fits records best; see `refine`."""
     if kind not in KINDS:
         raise InputError("invalid_value", f"there is no refinement '{kind}'; there are {' and '.join(KINDS)}")
     scales = Scales.of(records)
@@ -408,7 +407,7 @@ Problem = tuple[FittedForm, list[Record], np.ndarray, Callable[[ModalForm], Stat
 
 
 def _output_errors(start: StateSpace, records: list[Record], direct: bool) -> Problem:
-    """Where to start, the records, the free entries of D, the model of a form, and which forms are allowed."""
+    """The start, the records, the free entries of D, the model of a form, and which forms are allowed."""
     free = np.full(start.D.shape, direct)
     return (
         solve_input_matrices(_at(start, records), records, free),
@@ -439,10 +438,10 @@ def _at(model: StateSpace, records: Sequence[Record]) -> FitPoint:
 
 
 def refine_predictor(refined: RefinedModel, records: Sequence[Record]) -> RefinedModel:
-    """Return the model that minimises one-step prediction errors, which holds under feedback; of the outputs that show the modes.
+    """Return the model that minimises one-step prediction errors, valid under feedback, for outputs that show the modes.
 
     Args:
-        refined: Where to start.
+        refined: Start of the search.
         records: Training records.
     """
     sizes = np.std(np.vstack(refined.residuals), axis=0)

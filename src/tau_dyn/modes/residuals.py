@@ -1,4 +1,4 @@
-"""What a model leaves of records: how likely that makes it, how well it fits, and whether what is left is noise.
+"""Residuals of a model on records: likelihood and information criteria, fit, and tests of whiteness and independence.
 
     loss = log det (1/N) sum e_t e_t',     BIC = N loss + k log N,   AIC = N loss + 2 k
     fit = 100 (1 - |y - y_hat| / |y - mean(y)|)                                     per output
@@ -6,13 +6,14 @@
     r_eu(k) = corr(e_t, u_{t-k}),     99 % band  +- 2.58 sqrt(P_0 / N),  P_j = sum_k r_e(k) r_u(k + j)
     v_t = sum_{k=1}^{L} F_k v_{t-k} + e_t
 
-`e` is the error of a free simulation, or of a prediction one step ahead where a loop was closed or whiteness is asked for; `k`
-counts free numbers. With coloured noise the criteria of a simulation reward too many states: they assume that `e` is white. The
-correlation with the inputs is tested on whatever the model leaves, coloured or not: `P` is what the colours of both do to it. A
-whole curve is judged by one number, `N r' P^-1 r`, chi-squared with as many degrees of freedom as lags. Lags from 0 up show
-dynamics that the model lacks; negative lags show inputs that answer to past residuals, which is feedback. The last line is the
-memory of what a simulation leaves, `v`, for predictions a few steps ahead; L is BIC's choice, and 0 says that `v` has no memory
-(its long-memory counterpart is the innovation form in `refinement.py`). Reference: Ljung 1999, 16.4, 16.6.
+`e` is the error of a free simulation, or of a prediction one step ahead for closed loops and for tests of whiteness;
+`k` is the number of free parameters. With coloured noise the criteria of a simulation favour too many states, because
+they assume that `e` is white. The correlation with the inputs is tested on white or coloured residuals: `P` accounts
+for the autocorrelation of both signals. A whole curve is tested by one statistic, `N r' P^-1 r`, chi-squared with as
+many degrees of freedom as lags. Lags from 0 up show dynamics that the model lacks; negative lags show inputs that
+respond to past residuals, which is feedback. The last line is an autoregression of the simulation residuals `v`, for
+predictions a few steps ahead; L is selected by BIC, and L = 0 means that `v` is white (its long-memory counterpart is
+the innovation form in `refinement.py`). Reference: Ljung 1999, 16.4, 16.6.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ PREDICTED = "prediction_error"
 def compute_residuals(model: StateSpace, records: Sequence[Record], kind: str = SIMULATED) -> list[np.ndarray]:
     """Return measured minus simulated, or minus predicted one step ahead, (N - delay, p) a record.
 
-    Initial states are estimated; the first `delay` samples answer to inputs before the record and are left out.
+    Initial states are estimated; the first `delay` samples respond to inputs before the record and are left out.
     """
     follow = simulate if kind == SIMULATED else lambda m, r: predict(m, r, 1)
     return [(r.y - follow(model, r))[model.delay :] for r in records]
@@ -55,7 +56,7 @@ def compute_mean_squares(errors: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def compute_log_det_loss(errors: Sequence[np.ndarray]) -> float:
-    """Return log det of the errors' covariance; infinite where a simulation ran away."""
+    """Return log det of the errors' covariance; infinite if a simulation diverges."""
     sigma = compute_covariance(errors)
     if not np.all(np.isfinite(sigma)):
         return float("inf")
@@ -64,7 +65,7 @@ def compute_log_det_loss(errors: Sequence[np.ndarray]) -> float:
 
 
 def measure_spread(errors: Sequence[np.ndarray]) -> float:
-    """Return the sum of the outputs' log mean squares: what fits an output at a time judge; infinite where one ran away."""
+    """Return the sum of the outputs' log mean squares, a loss that treats outputs separately; infinite if one diverges."""
     power = np.diag(compute_covariance(errors))
     return float(np.sum(np.log(np.maximum(power, 1e-300)))) if np.all(np.isfinite(power)) else float("inf")
 
@@ -82,8 +83,8 @@ def compute_aic_bic(loss: float, n_samples: int, k: int) -> tuple[float, float]:
 def compare_errors_paired(errors: Sequence[np.ndarray], best: Sequence[np.ndarray], blocks: int = 20) -> float:
     """Return by how many standard errors some errors are larger than the best ones on the same samples.
 
-    Every output is weighed by its best errors. Blocks of time are compared in pairs, so neither colour nor what
-    both miss counts; and in ratios, so that a decay's loud beginning does not hide the rest.
+    Every output is weighed by its best errors. Blocks of time are compared in pairs, so neither colour nor common
+    errors count, and in ratios, so that the large amplitudes at the beginning of a decay do not hide the rest.
     """
     weight = 1 / np.maximum(np.diag(compute_covariance(best)), 1e-300)
     length = max(20, sum(len(e) for e in best) // blocks)
@@ -131,9 +132,9 @@ class NoiseModel:
 
 
 def fit_noise_model(errors: Sequence[np.ndarray]) -> NoiseModel:
-    """Fit the model to a simulation's errors, one (N, p) a record; its length is BIC's choice.
+    """Fit the model to a simulation's errors, one (N, p) per record; BIC selects its length.
 
-    From tapered autocovariances (Yule-Walker), which make it stable whatever the errors are.
+    The fit uses tapered autocovariances (Yule-Walker), which make the model stable for any errors.
     """
     few, left = [], MAX_NOISE_SAMPLES
     for v in errors:
@@ -162,7 +163,7 @@ def fit_noise_model(errors: Sequence[np.ndarray]) -> NoiseModel:
 
 Z99 = float(norm.ppf(0.995))
 LAGS = 25  # lags of the correlation tests, as usual in the field
-PASS = 0.01  # a curve passes where chance alone would look worse more often than this
+PASS = 0.01  # smallest p-value with which a curve passes
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,9 +172,9 @@ class FitQuality:
 
     Attributes:
         percent: Fit of a free simulation per output (p,), initial state estimated.
-        ahead: The same of predictions so many samples ahead, by number of samples; one and ten, where noise was modelled.
-        n_samples: Samples looked at.
-        rms: Root mean square of what the simulation misses, per output (p,).
+        ahead: The same for predictions, by number of samples ahead; one and ten, if noise was modelled.
+        n_samples: Number of samples.
+        rms: Root mean square of the simulation error, per output (p,).
     """
 
     percent: np.ndarray
@@ -189,7 +190,7 @@ class FitQuality:
 
 @dataclass(frozen=True, eq=False)
 class CorrelationTest(Brief):
-    """One correlation curve, its band, and the judgement of all of it.
+    """One correlation curve, its band, and the test of the whole curve.
 
     Attributes:
         output: Output whose residual is tested.
@@ -197,8 +198,8 @@ class CorrelationTest(Brief):
         lags: Lags in samples (L,).
         values: Correlation at these lags (L,), between -1 and 1.
         band: Half width of the 99 % band.
-        p_value: How often chance alone would make the judged lags look worse.
-        judged: Lags that count (L,) bool; the others are only drawn.
+        p_value: p-value of the tested lags.
+        judged: Tested lags (L,) bool; the others are only drawn.
     """
 
     output: str
@@ -226,7 +227,7 @@ class CorrelationTest(Brief):
 
 
 def fit_of(measured: Sequence[np.ndarray], simulated: Sequence[np.ndarray]) -> np.ndarray:
-    """Return how much of each output's movement simulations of records explain (p,) [%]; 100 is all, 0 nothing."""
+    """Return the fit of simulations of records per output (p,) [%]; 100 is exact, 0 is no better than the mean."""
     missed = np.sum([np.sum((y - s) ** 2, axis=0) for y, s in zip(measured, simulated, strict=True)], axis=0)
     moved = np.sum([np.sum((y - y.mean(axis=0)) ** 2, axis=0) for y in measured], axis=0)
     return 100 * (1 - np.sqrt(missed / np.where(moved > 0, moved, np.nan)))
@@ -235,12 +236,12 @@ def fit_of(measured: Sequence[np.ndarray], simulated: Sequence[np.ndarray]) -> n
 def check_whiteness(
     errors: Sequence[np.ndarray], outputs: Sequence[str], lags: int = LAGS
 ) -> tuple[CorrelationTest, ...]:
-    """Test whether prediction errors have a memory: one test an output (Ljung-Box).
+    """Test whether prediction errors are autocorrelated: one test per output (Ljung-Box).
 
     Args:
         errors: One-step prediction errors, one (N, p) a record.
         outputs: Names of the outputs.
-        lags: How many lags are looked at.
+        lags: Number of lags.
     """
     tests = []
     for k, name in enumerate(outputs):
@@ -263,10 +264,10 @@ def check_independence(
     lags: int = LAGS,
     used: int = 0,
 ) -> tuple[CorrelationTest, ...]:
-    """Test whether what is left still answers to the inputs: one test a pair.
+    """Test whether the residuals are correlated with the inputs: one test for each pair.
 
     Args:
-        errors: What the model leaves, one (N, p) a record; may be coloured.
+        errors: Residuals of the model, one (N, p) per record; may be coloured.
         u: Inputs (N, m) of the same records, as late as the model's delay makes them act.
         outputs: Names of the outputs.
         inputs: Names of the inputs.
@@ -303,7 +304,7 @@ def _colour(own_e: np.ndarray, own_u: np.ndarray, n: int) -> np.ndarray:
 
 
 def _solve(column: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solve with a Toeplitz covariance; inputs that repeat themselves make it singular, and a trace of white noise mends that."""
+    """Solve with a Toeplitz covariance; a small white-noise term keeps it regular for periodic inputs."""
     column = column.copy()
     column[0] *= 1 + 1e-6
     try:
@@ -318,7 +319,7 @@ def _autocorrelation(columns: list[np.ndarray], lags: int) -> np.ndarray:
 
 
 def _correlation(a: list[np.ndarray], b: list[np.ndarray], lags: int) -> np.ndarray:
-    """Return mean of a_t b_{t-k} for k = -lags .. lags, over all records, none joined to the next."""
+    """Return mean of a_t b_{t-k} for k = -lags .. lags, over all records, without joining records."""
     total = np.zeros(2 * lags + 1)
     for x, y in zip(a, b, strict=True):
         size = int(next_fast_len(len(x) + lags + 1, real=True) or 0)

@@ -1,15 +1,15 @@
-"""The responses that the data show, in frequency and in time, and the model's beside them.
+"""Measured responses in frequency and in time, next to those of the model.
 
     H(f) = S_yu S_uu^-1,      coherence(f) = S_yu S_uu^-1 S_uy / S_yy,      h = F^-1 [ Y U^H (U U^H + floor)^-1 ]
 
-Spectra are averaged over windowed stretches. With several inputs the coherence is the multiple one: the share of an output's
-power that all inputs explain together. Under feedback `S_yu` mixes plant and controller; with the loop's reference r known, `H
-= S_yr S_ur^-1` does not (Pintelon & Schoukens 2012, 2.6). Of pulse tests, whose response dies within the record, each record is
-one stretch and no window is needed. Noise in the inputs pulls H towards zero.
+Spectra are averaged over windowed segments. With several inputs the coherence is the multiple one: the share of an
+output's power that all inputs explain together. Under feedback `S_yu` mixes plant and controller; with the loop's
+reference r known, `H = S_yr S_ur^-1` does not (Pintelon & Schoukens 2012, 2.6). In pulse tests, whose response decays
+within the record, each record is one segment and no window is needed. Noise in the inputs pulls H towards zero.
 
-For the response to a unit pulse h, a driven record is divided by its inputs in the frequency domain, with a floor where they
-hold little power. The model's simulation of the same inputs goes through the same division, so that the floor, the inputs' band
-and the record's ends do the same to both and only the difference between data and model is left to see.
+For the response to a unit pulse h, a driven record is divided by its inputs in the frequency domain, with a floor where
+they hold little power. The model's simulation of the same inputs is divided in the same way, so that the floor, the
+inputs' band and the record's ends affect both equally and only the difference between data and model remains.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from tau_dyn.modes.state_space import StateSpace, simulate
 from tau_dyn.results import Brief
 
 STRETCHES = 5
-"""Half-overlapping stretches besides one for each input: fewer leave too much scatter, more blur light damping."""
+"""Half-overlapping segments in addition to one for each input: fewer leave too much scatter, more blur light damping."""
 MAX_WINDOW_SAMPLES = 32_768  # of a window; finer lines than its are not drawn
 RESOLUTION = 6.0  # lines within the width of the narrowest resonance
 
@@ -40,10 +40,11 @@ class EmpiricalResponse(Brief):
     Attributes:
         frequency: (F,) [Hz].
         response: (F, p, m), nan where the inputs hold no power.
-        coherence: Share of each output's power that the inputs explain together (F, p), 0 to 1; nan where it means nothing.
+        coherence: Share of each output's power that the inputs explain together (F, p), 0 to 1; nan where it is not
+            defined.
         excited: Frequencies at which the inputs hold power (F,) bool.
-        n_averages: Stretches averaged.
-        how: What was done, in words.
+        n_averages: Number of averaged segments.
+        how: Description of the computation.
     """
 
     frequency: np.ndarray
@@ -57,12 +58,13 @@ class EmpiricalResponse(Brief):
 def estimate_empirical_response(
     records: Sequence[Record], *, impulses: bool = False, resolve: float = 0.0
 ) -> EmpiricalResponse:
-    """Return what spectra alone say of the response from inputs to outputs.
+    """Return the response from inputs to outputs estimated from spectra alone.
 
     Args:
-        records: Inputs and outputs on one step; their references are used where there are as many as inputs.
+        records: Inputs and outputs on one step; their references are used if there are as many as inputs.
         impulses: Whether each record holds one short pulse and its decay.
-        resolve: Width of the narrowest resonance [Hz]; stretches are no longer than it takes to resolve it. 0 where unknown.
+        resolve: Width of the narrowest resonance [Hz]; segments are no longer than required to resolve it. 0 if
+            unknown.
     """
     m, references = records[0].u.shape[1], [r.reference for r in records if r.reference is not None]
     looped = len(references) == len(records) and references[0].shape[1] == m and not impulses
@@ -78,7 +80,7 @@ def estimate_empirical_response(
     power = np.real(np.einsum("fii->fi", syy))
     coherence = np.where(excited[:, None] & (power > 0), explained / np.maximum(power, 1e-300), np.nan)
     if n <= 2 * m and not looped:
-        coherence = np.full_like(coherence, np.nan)  # one stretch explains itself
+        coherence = np.full_like(coherence, np.nan)  # the coherence of a single segment is always one
     how = "one Fourier transform a pulse" if impulses else f"{n} half-overlapping stretches, Hann window"
     how += ", through the reference" if looped else ""
     return EmpiricalResponse(f, response, np.clip(coherence, 0, 1), excited, n, how)
@@ -114,7 +116,7 @@ def _size(records: Sequence[Record], impulses: bool, resolve: float) -> int:
 
 
 def _excited(suu: np.ndarray) -> np.ndarray:
-    """Return where the inputs hold power in every direction (F,): 60 dB below the strongest is as good as none."""
+    """Return where the inputs have power in every direction (F,): above -60 dB relative to the maximum over frequency."""
     weakest = np.linalg.eigvalsh(suu / _scale(suu))[:, 0]
     return weakest > 1e-6 * float(np.max(weakest, initial=0.0))
 
@@ -125,7 +127,7 @@ def _scale(s: np.ndarray) -> np.ndarray:
 
 
 def _divide(top: np.ndarray, bottom: np.ndarray, where: np.ndarray) -> np.ndarray:
-    """Return `top @ bottom^-1` at the frequencies where it makes sense, NaN elsewhere."""
+    """Return `top @ bottom^-1` at the frequencies of `where`, NaN elsewhere."""
     out = np.full(top.shape, np.nan + 0j)
     out[where] = np.swapaxes(np.linalg.solve(np.swapaxes(bottom[where], 1, 2), np.swapaxes(top[where], 1, 2)), 1, 2)
     return out
@@ -138,7 +140,7 @@ OVERLAP_SHARE = 0.75
 
 
 def is_coherent(mode: Mode, seen: EmpiricalResponse, n_inputs: int) -> bool:
-    """Return whether an output follows the inputs around a mode, by the median of its coherence there; True where unknown.
+    """Return whether an output follows the inputs around a mode, by the median of its coherence there; True if unknown.
 
     The multiple coherence of noise with m inputs in k stretches exceeds c with the probability (1 - c)^(k - m).
     """
@@ -153,7 +155,7 @@ def is_coherent(mode: Mode, seen: EmpiricalResponse, n_inputs: int) -> bool:
 
 
 TONE_LINES, AROUND_LINES = 2, 30
-"""Lines of a spectrum beside a frequency that belong to a tone, and that tell what lies around it."""
+"""Lines of a spectrum next to a frequency that belong to a tone, and lines that give the level around it."""
 MIN_TONE_RATIO = 300.0
 """Power of a tone over the median around it; the largest of a few lines of noise is seldom 20 times the median."""
 MAX_TONE_WIDTH = 3.0
@@ -202,7 +204,7 @@ class ImpulseResponses(Brief):
         t: (T,) [s].
         measured: (T, p, m).
         model: (T, p, m).
-        how: How the measured one was had, in words.
+        how: Description of the computation of the measured response.
         held_out: Whether from data that the model was not fitted to.
     """
 
@@ -226,8 +228,8 @@ def compute_impulse_responses(
 
     Args:
         model: The model.
-        records: What to compare on.
-        modes: Its modes; they tell how long a response lasts.
+        records: Records on which they are compared.
+        modes: Modes of the model; they determine how long a response lasts.
         kind: `driven` or `impulse`.
         held_out: Whether the model was not fitted to these records.
     """
@@ -273,7 +275,7 @@ def _of_pulses(model: StateSpace, records: Sequence[Record], held_out: bool) -> 
 
 
 def _length(model: StateSpace, modes: Sequence[Mode], n: int) -> int:
-    """Return how many samples to show: until the slowest mode has decayed, and some periods of the lowest at most."""
+    """Return the number of samples to show: until the slowest mode has decayed, and some periods of the lowest at most."""
     if not modes:
         return min(n // 2, 200)
     slowest = min(2 * np.pi * m.frequency_hz * max(m.damping_ratio, 1e-4) for m in modes)

@@ -1,4 +1,4 @@
-"""What `find_modes` and `find_operational_modes` found: models, modes with uncertainty, and what says how far to trust them."""
+"""Results of `find_modes` and `find_operational_modes`: models, modes with uncertainty, and validation."""
 
 from __future__ import annotations
 
@@ -52,10 +52,10 @@ class Nonlinearity:
 
     Attributes:
         suspected: Whether a power is significant and explains enough.
-        p_value: How often a linear structure would look more nonlinear, over all outputs and powers.
+        p_value: p-value over all outputs and powers, under the hypothesis of a linear structure.
         share: Share of the residual's variance that the power explains.
         output: The output concerned.
-        power: 2 where the response depends on its sign, 3 where on its size.
+        power: 2 if the response depends on its sign, 3 if on its size.
     """
 
     suspected: bool
@@ -75,17 +75,17 @@ class Modes(Shown):
         dt: Sampling step [s].
         order: Number of states.
         delay: Whole samples by which the inputs act late, beyond the one that sampling itself adds.
-        method: What gave the model, `n4sid`, `pbsid`, `arx` or `era`, and how it was refined.
+        method: Method of the model, `n4sid`, `pbsid`, `arx` or `era`, and how it was refined.
         model: The refined model.
         modes: Oscillating modes, slowest first, with standard errors.
         poles: All poles, with the uncertainty of those that oscillate.
-        zeros: Transmission zeros in the s plane [1/s]; empty where there are not as many outputs as inputs.
+        zeros: Transmission zeros in the s plane [1/s]; empty unless there are as many outputs as inputs.
         train: Fit of the training records.
-        holdout: Fit of the held-out records; None where nothing was held out.
+        holdout: Fit of the held-out records; None without held-out data.
         whiteness: Tests of the one-step errors.
-        independence: Tests of what the simulation leaves against the inputs.
+        independence: Tests of the simulation residuals against the inputs.
         tested_on: `holdout` or `train`.
-        feedback: Whether the inputs answer to the outputs.
+        feedback: Whether the inputs respond to the outputs.
         delay_choice: How the delay was chosen.
         order_choice: How the order was chosen.
         stabilisation: Modes of many orders.
@@ -93,14 +93,14 @@ class Modes(Shown):
         response: The model's response, with uncertainty.
         impulse: Impulse responses, measured and of the model.
         traces: Records, measured and simulated.
-        nonlinearity: Whether what the model leaves is correlated with powers of the response; None where not tested.
-        mechanical: Mass, damping and stiffness; None where there is nothing to say, and `mechanical_why` says why.
-        mechanical_why: Why there is none.
+        nonlinearity: Whether the residuals are correlated with powers of the response; None if not tested.
+        mechanical: Mass, damping and stiffness; None if not available, for the reason in `mechanical_why`.
+        mechanical_why: Why `mechanical` is not available.
         kind: `driven` or `impulse`.
-        how_held: What was held out.
-        why: What was decided and why: method, delay, order, refinement; sentences by topic.
-        warnings: What is doubtful, one sentence each.
-        seed: Seed of everything random.
+        how_held: Description of the held-out data.
+        why: Decisions and their reasons: method, delay, order, refinement; sentences by topic.
+        warnings: Doubts about the result, one sentence each.
+        seed: Seed of the random numbers.
     """
 
     inputs: tuple[str, ...]
@@ -137,7 +137,7 @@ class Modes(Shown):
 
     @property
     def judged(self) -> FitQuality:
-        """The fit that counts: held out where there is one."""
+        """The fit to be reported: of held-out data if there are any, else of training data."""
         return self.holdout or self.train
 
     def plot(self) -> Figure:
@@ -205,7 +205,7 @@ class Modes(Shown):
         return {"dt": m.dt, "delay": m.delay, **matrices, "noise": noise}
 
     def model_file(self, logs: Sequence[Mapping[str, str]]) -> ModelFile:
-        """Return the model with its columns and where it comes from, ready to be written.
+        """Return the model with its columns and provenance, ready to be written.
 
         Args:
             logs: Path and hash of every log.
@@ -243,8 +243,8 @@ class OperationalModes(Shown):
         modes: Modes of the structure, slowest first; shapes are relative to their largest output.
         stabilisation: Modes of all orders.
         n_samples: Samples used.
-        warnings: What is doubtful, one sentence each.
-        seed: Kept with the result; nothing here is random.
+        warnings: Doubts about the result, one sentence each.
+        seed: Kept with the result; the method is deterministic.
     """
 
     outputs: tuple[str, ...]
@@ -268,7 +268,7 @@ class OperationalModes(Shown):
         return plot_stability(hz, order, is_stable, [mode.frequency_hz for mode in self.modes])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the JSON result; what responses alone cannot give is null, with the reason."""
+        """Return the JSON result; quantities that responses alone cannot determine are null, with the reason."""
         return {
             "order": self.order,
             "delay_samples": None,

@@ -1,4 +1,4 @@
-"""What outputs measure, by the names of their columns: displacement, velocity or acceleration, and whether in g."""
+"""Quantities that outputs measure, from the names of their columns: displacement, velocity or acceleration, also in g."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _AXES = "xyz"
 
 @dataclass(frozen=True)
 class SensorKind:
-    """What outputs measure.
+    """Quantity that outputs measure.
 
     Attributes:
-        kind: `displacement`, `velocity` or `acceleration`; `auto` where the names do not tell.
+        kind: `displacement`, `velocity` or `acceleration`; `auto` if the names do not state it.
         unit: Size of their unit in SI, 1 unless they are accelerations in g.
     """
 
@@ -30,7 +30,7 @@ DISPLACEMENT = SensorKind("displacement")
 
 
 def find_sensor_kind(outputs: Sequence[str], asked: str = "auto") -> SensorKind:
-    """Return what outputs measure: what was asked for, or what all their names state (`acc1_g`, `ax_tool`, `x_tool`)."""
+    """Return the quantity that outputs measure: as requested, or as their names state (`acc1_g`, `ax_tool`, `x_tool`)."""
     kinds = {_find_kind(split_words(name)) for name in outputs}
     kind = asked if asked != "auto" or len(kinds) > 1 else kinds.pop()
     in_g = kind == "acceleration" and all("g" in split_words(name)[1:] for name in outputs)

@@ -1,4 +1,4 @@
-"""A sampled linear model in innovation form: what it says of records, its Gramians, and its file.
+"""A sampled linear model in innovation form: simulation and prediction of records, its Gramians, and its file.
 
     x_{k+1} = A x_k + B u_{k-d} + K e_k,   y_k = C x_k + D u_{k-d} + e_k
 
@@ -39,7 +39,7 @@ class StateSpace:
         K: Gain of the innovations (n, p); zeros for an output-error model.
         dt: Sampling step [s].
         delay: Whole samples by which the inputs act late.
-        noise: Covariance of the innovations (p, p), or of the output noise; None where it is not known.
+        noise: Covariance of the innovations (p, p), or of the output noise; None if not known.
     """
 
     A: np.ndarray
@@ -117,7 +117,7 @@ def simulate(model: StateSpace, record: Record, x0: np.ndarray | None = None) ->
 
     Args:
         model: The model.
-        record: Its inputs are used; before its first sample they are taken to have been what they are there.
+        record: Its inputs are used; before the first sample they are assumed equal to those at the first sample.
         x0: State at the first sample (n,); None takes the one that fits the record's outputs best.
     """
     u = delay_inputs(model, record)
@@ -134,14 +134,14 @@ def estimate_initial_state(model: StateSpace, record: Record, predictor: bool = 
     scale = np.sqrt(np.mean(rest**2, axis=0))
     scale[scale == 0] = 1.0
     gamma = _free_responses(A, model.C / scale[:, None], n)
-    known = model.delay if n > 2 * (model.delay + model.order) else 0  # what acted before is not in the record
+    known = model.delay if n > 2 * (model.delay + model.order) else 0  # earlier inputs are not in the record
     return np.linalg.lstsq(gamma[known:].reshape(-1, model.order), (rest[known:n] / scale).ravel(), rcond=1e-10)[0]
 
 
 def predict(model: StateSpace, record: Record, k: int = 1) -> np.ndarray:
     """Return the outputs (N, p) predicted from measured outputs up to `k` samples before, and all inputs.
 
-    The first k rows rest on the initial state alone.
+    The first k rows depend on the initial state alone.
     """
     if k < 1:
         raise InputError("invalid_value", f"predictions look at least one sample ahead, not {k}")
@@ -172,7 +172,7 @@ def _triangular(T: np.ndarray, drive: np.ndarray, x0: np.ndarray) -> tuple[np.nd
     out = np.zeros((len(drive) + 1, n), dtype=complex, order="F")
     out[0] = x0
     for i in range(n - 1, -1, -1):
-        above = i + 1 + np.flatnonzero(T[i, i + 1 :])  # few where A is block-diagonal
+        above = i + 1 + np.flatnonzero(T[i, i + 1 :])  # few if A is block-diagonal
         above = above if len(above) < n - i - 1 else slice(i + 1, None)
         pushed = drive[:, i] + out[:-1, above] @ T[i, above]
         out[1:, i] = lfilter([1.0], [1.0, -T[i, i]], pushed, zi=T[i, i] * x0[i : i + 1])[0]
@@ -190,12 +190,12 @@ def delay_inputs(model: StateSpace, record: Record) -> np.ndarray:
 
 
 def _predictor(model: StateSpace, u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A - K C and what drives it."""
+    """A - K C and its input."""
     return model.A - model.K @ model.C, u @ (model.B - model.K @ model.D).T + y @ model.K.T
 
 
 def _free_responses(A: np.ndarray, C: np.ndarray, n: int) -> np.ndarray:
-    """C A^t for t < n (n, p, states), by doubling; stops early where all has decayed."""
+    """C A^t for t < n (n, p, states), by doubling; stops early when all states have decayed."""
     out, power = C[None], A
     size = np.abs(C).max(initial=0.0)
     while len(out) < n and np.abs(out[-1]).max(initial=0.0) > 1e-9 * size:
@@ -212,13 +212,13 @@ _MATRICES = ("A", "B", "C", "D", "K")
 
 @dataclass(frozen=True, eq=False)
 class ModelFile:
-    """A model, and the columns that it goes between.
+    """A model with the names of its input and output columns.
 
     Attributes:
-        model: The model; it speaks of deviations from the operating point.
+        model: The model, for deviations from the operating point.
         inputs: Names of the inputs.
         outputs: Names of the outputs.
-        provenance: Where it comes from.
+        provenance: Origin of the model.
     """
 
     model: StateSpace
@@ -228,7 +228,7 @@ class ModelFile:
 
 
 def save_state_space(path: str | Path, content: ModelFile) -> None:
-    """Write a model as YAML, the whole file or none."""
+    """Write a model as YAML; the file is written completely or not at all."""
     m = content.model
     rows = {name: getattr(m, name).tolist() for name in _MATRICES}
     entries = {

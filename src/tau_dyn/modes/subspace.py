@@ -82,12 +82,12 @@ def estimate_innovation_gain(
 
 
 WEIGHTINGS = ("cva", "moesp", "n4sid")
-MAX_BLOCK_ROWS = 60  # block rows taken where the horizon is not given
+MAX_BLOCK_ROWS = 60  # block rows taken if the horizon is not given
 
 
 @dataclass(frozen=True, eq=False)
 class SubspaceFactors:
-    """What the subspace method needs of records; models of any order follow without another look at most of the data.
+    """Matrices of the subspace method; models of any order follow without further passes over most of the data.
 
     Attributes:
         records: The records, aligned by the delay and scaled.
@@ -165,8 +165,8 @@ def compress_subspace_data(records: Sequence[Record], *, horizon: int | None = N
 
     Args:
         records: Unbroken stretches of inputs and outputs.
-        horizon: Block rows of past and of future; it should span the slowest resonance's period, and
-            (horizon - 1) p must reach the order. None takes what the data carry, at most 60.
+        horizon: Block rows of past and of future; it should span the slowest resonance's period, and (horizon - 1) p
+            must reach the order. None takes the largest that the data permit, at most 60.
         delay: Whole samples by which the inputs act late.
 
     Raises:
@@ -219,7 +219,7 @@ def pbsid(
         order: States of plant and disturbance together: a coloured disturbance needs states of its own.
         past: Lags of the predictor; None takes Akaike's choice up to 60.
         delay: Whole samples by which the inputs act late.
-        direct: Whether the present input enters too (D). Under feedback only where the controller has a delay.
+        direct: Whether the present input enters too (D). Under feedback only if the controller has a delay.
 
     Raises:
         InputError: The order does not fit the past, or the records are too short.
@@ -238,7 +238,7 @@ def pbsid(
 
 
 def compress_predictor_data(records: Sequence[Record], past: int | None, least: int = 1) -> HankelFactor:
-    """Return compressed data with past + 1 block rows; where it is None the data choose, but at least `least`."""
+    """Return compressed data with past + 1 block rows; if `past` is None, selected from the data, at least `least`."""
     if past is not None:
         return compress(records, past + 1)
     w = records[0].u.shape[1] + records[0].y.shape[1]

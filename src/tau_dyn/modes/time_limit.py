@@ -1,4 +1,4 @@
-"""A limit of time on the search for a model: the best answer so far stands, and what was left out is remembered."""
+"""A time limit on the search for a model: the best result so far is kept, and the skipped steps are recorded."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from tau_dyn.message_codes import CodedWarning
 
 @dataclass(eq=False)
 class TimeLimit:
-    """How long a search may go on.
+    """The time limit of a search.
 
     Attributes:
         seconds: Wall time [s]; None without a limit.
-        clock: Gives seconds.
-        left_out: What was not tried, in the order in which it was given up.
+        clock: Function that returns the time [s].
+        left_out: Skipped steps, in the order in which they were skipped.
     """
 
     seconds: float | None = None
@@ -28,11 +28,11 @@ class TimeLimit:
         self._began = self.clock()
 
     def is_over(self, what: str, share: float = 1.0) -> bool:
-        """Return whether the time is over; if so, remember what is left out for it.
+        """Return whether the time is over; if so, record the skipped step.
 
         Args:
-            what: What would come next, as a part of the warning's sentence.
-            share: Of the time after which it is over for this; early stages leave the rest to later ones.
+            what: The next step, as a part of the warning's sentence.
+            share: Share of the time after which this step is skipped; early stages leave the rest to later ones.
         """
         if self.seconds is None or self.clock() - self._began < share * self.seconds:
             return False
@@ -41,7 +41,7 @@ class TimeLimit:
         return True
 
     def list_warnings(self) -> list[str]:
-        """Return the sentence about what was left out, if anything was."""
+        """Return the sentence about the skipped steps, if any."""
         if not self.left_out:
             return []
         said = f"the limit of {self.seconds:g} s ended the search; not tried: {', '.join(self.left_out)}"

@@ -1,13 +1,14 @@
-"""A refined model judged: fit on held-out data, tests of what is left, spectra, uncertainty, mass-damping-stiffness, doubts.
+"""Validation of a refined model: fit on held-out data, tests of residuals, spectra, uncertainty, M, D, K, warnings.
 
 The test for nonlinear stiffness, damping or friction: with e the residual of a simulation, y the simulated output and u the
 inputs,
 
     A(q) e_t = B(q) u_t + C(q) y_t + T(q) y_t^k + w_t,      k = 2, 3,      e.g. Duffing:  e = -G k3 y^3 + v
 
-has T = 0 where the structure is linear, in open and in closed loop: w is new at t, and everything else is past. A and B take up
-colour and linear dynamics that the model lacks. An F-test says whether T differs from zero, the variance of `T / A y^k` over
-that of e whether it matters. References: Billings & Voon 1986; Söderström & Stoica 1989, 11.3 (nested model structures).
+has T = 0 if the structure is linear, in open and in closed loop: w is new at t, and everything else is past. A and B
+model colour and linear dynamics that the model lacks. An F-test decides whether T differs from zero; the variance of
+`T / A y^k` over that of e decides whether it matters. References: Billings & Voon 1986; Söderström & Stoica 1989, 11.3
+(nested model structures).
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ from tau_dyn.modes.sensors import DISPLACEMENT, SensorKind
 from tau_dyn.modes.state_space import StateSpace, delay_inputs, predict, simulate
 
 PREDICTION_HORIZONS = (1, 10)
-GRID = 400  # frequencies in a geometric row, beside those near resonances
+GRID = 400  # frequencies in a geometric row, in addition to those near resonances
 TRACES = 6  # records kept for drawing
 
 
@@ -70,16 +71,16 @@ def validate_model(
     sensor: SensorKind = DISPLACEMENT,
     collocated: Sequence[tuple[int, int]] | None = None,
 ) -> Modes:
-    """Return the result with everything that says how far to trust it.
+    """Return the result with its validation.
 
     Args:
-        refined: The model of the training data, which held-out data may judge.
-        data: What it was fitted to, and what was held out.
-        feedback: Whether the inputs answer to the outputs.
+        refined: The model of the training data, which is validated on held-out data.
+        data: Training records and held-out records.
+        feedback: Whether the inputs respond to the outputs.
         delay: How the delay was chosen.
         order: How the order was chosen.
-        final: The model of all data, which is the answer; None takes the one of the training data.
-        sensor: What the outputs are.
+        final: The model of all data, which is returned; None takes the one of the training data.
+        sensor: Quantity that the outputs measure.
         collocated: Pairs of an input's and an output's number at one place.
     """
     final = final or refined
@@ -145,7 +146,7 @@ def _fit(model: StateSpace, noise: NoiseModel, records: Sequence[Record]) -> Fit
 def compute_prediction_errors(
     model: StateSpace, noise: NoiseModel, records: Sequence[Record], k: int
 ) -> list[np.ndarray]:
-    """Return errors of predictions k samples ahead: by the model's own innovations where it has any, else by the noise model."""
+    """Return errors of predictions k samples ahead: by the model's own innovations if it has any, else by the noise model."""
     if np.any(model.K):
         return [(r.y - predict(model, r, k))[model.delay :] for r in records]
     return [noise.ahead(e, k) for e in compute_residuals(model, records)]
@@ -157,7 +158,7 @@ def _tests(
     long = [r for r in records if r.n_samples >= 100]
     if not long:
         return (), ()
-    # in a loop a disturbance reaches the inputs, so that only what is new at each sample can be asked of them
+    # in a loop a disturbance reaches the inputs, so only the innovation at each sample can be tested against them
     if np.any(model.K):
         one_step = kept = compute_prediction_errors(model, noise, long, 1)
     else:
@@ -170,7 +171,7 @@ def _tests(
 
 
 def _simulation_errors(model: StateSpace, records: Sequence[Record]) -> list[np.ndarray]:
-    """Return errors of simulations, without those that the noise of a hammer's force explains."""
+    """Return errors of simulations, without the part that the noise of a hammer's force explains."""
     errors = compute_residuals(model, records)
     aligned = [r.aligned(model.delay) for r in records]
     return remove_input_noise(errors, aligned, model.markov(max(r.n_samples for r in aligned)))
@@ -223,12 +224,12 @@ def _traces(model: StateSpace, data: PreparedRecords) -> tuple[Trace, ...]:
 POOR_FIT = 50.0  # per cent of an output's standard deviation
 MAX_RELATIVE_DAMPING_STDERR = 0.3
 """Standard error of a damping ratio over the ratio itself, beyond which it is hardly known."""
-MAX_FIT_DROP_PERCENT = 10.0  # per cent from training to held-out data; more is overfitting or another machine
+MAX_FIT_DROP_PERCENT = 10.0  # per cent from training to held-out data; more indicates overfitting or a changed machine
 MIN_RECORD_PERIODS = 10  # of the slowest mode; fewer leave its damping open
 
 
 def list_doubts(found: Modes) -> Iterator[str]:
-    """Yield what a careful colleague would mention about a result, a sentence each."""
+    """Yield the warnings about a result, one sentence each."""
     if found.feedback.suspected and found.feedback.input:
         said = f"{found.feedback.why}: a loop was closed; log its reference and name it with --reference"
         yield CodedWarning("feedback_found", said)
@@ -285,13 +286,13 @@ MIN_VARIANCE_SHARE = 0.1
 INPUT_LAGS = 30  # lags of B
 RESPONSE_LAGS = 2  # lags of C
 POWER_LAGS = 5  # lags of T
-MAX_NONLINEARITY_SAMPLES = 10_000  # samples looked at
+MAX_NONLINEARITY_SAMPLES = 10_000  # samples used
 
 
 def detect_nonlinearity(
     errors: Sequence[np.ndarray], simulated: Sequence[np.ndarray], u: Sequence[np.ndarray], outputs: Sequence[str]
 ) -> Nonlinearity | None:
-    """Test the longest record; None where it is too short.
+    """Test the longest record; None if it is too short.
 
     Args:
         errors: Measured minus simulated outputs, one (N, p) a record.
@@ -339,7 +340,7 @@ def _regress(e: np.ndarray, columns: np.ndarray, basis: np.ndarray, n: int) -> t
     theta = np.linalg.lstsq(apart, right, rcond=None)[0]
     new = right - apart @ theta
     drive = e - new - columns[:, :n] @ theta[:n]
-    with np.errstate(all="ignore"):  # an unstable autoregression runs away and explains nothing
+    with np.errstate(all="ignore"):  # an unstable autoregression diverges and has no explanatory power
         missed = float(np.var(e - lfilter([1.0], np.r_[1.0, -theta[:n]], drive)))
     return float(new @ new), missed if np.isfinite(missed) else float("inf")
 

@@ -3,11 +3,11 @@
     minimise sum_k || W_k ((K + s_k D + s_k^2 M) H_k - B) ||^2   subject to   M > 0,  K > 0,  D >= 0,  all symmetric
     minimise || T (H(M, D, K) - H_model) ||^2,   M = L_M L_M',  D = L_D L_D',  K = L_K L_K'
 
-The program has Sanathanan and Koerner's weights `W_k = (K + s_k D + s_k^2 M)^{-1} / ||H_k||` of the round before, which turn
-the equation's error into the response's relative error. In the likelihood, `T` whitens: it holds the model's parameter
-covariance as the response sees it, so the answer loses nothing of what the parameters know (Stoica & Soderstrom 1989, indirect
-identification). Cholesky factors keep the matrices definite at every step; standard errors are those of the entries themselves.
-References: Sanathanan & Koerner 1963; Boyd & Vandenberghe 2004, 4.6.
+The program has Sanathanan and Koerner's weights `W_k = (K + s_k D + s_k^2 M)^{-1} / ||H_k||` of the round before, which
+turn the equation's error into the response's relative error. In the likelihood, `T` whitens: it contains the covariance
+of the response that follows from the model's parameter covariance, so no information in the parameters is lost (Stoica
+& Soderstrom 1989, indirect identification). Cholesky factors keep the matrices definite at every step; standard errors
+are those of the matrix entries. References: Sanathanan & Koerner 1963; Boyd & Vandenberghe 2004, 4.6.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def _program(R: np.ndarray, target: np.ndarray, n: int) -> SecondOrder:
 
 
 def _clipped(R: np.ndarray, target: np.ndarray, n: int) -> SecondOrder:
-    """Return the plain minimum with its eigenvalues raised to what is physical: a start, where the solver gives up."""
+    """Return the unconstrained minimum with its eigenvalues raised to physical values: a start if the solver fails."""
     raised = []
     plain = unpack(np.linalg.lstsq(R, target, rcond=None)[0], n)
     for part, least in ((plain.M, _MIN_EIGENVALUE), (plain.D, 0.0), (plain.K, _MIN_EIGENVALUE)):
@@ -117,12 +117,12 @@ _RANK = 1e-7  # directions of the response's error smaller than this part of the
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """What a structure is to reproduce.
+    """The response that a structure is to reproduce.
 
     Attributes:
         s: Complex frequencies (F,).
         H: Displacement over force (F, p, m).
-        places: Which degrees of freedom it is between.
+        places: The degrees of freedom of its inputs and outputs.
         T: Rows (r, 2 F p m) that weigh the error, real parts first; or one weight for each of its entries (2 F p m,).
         whitens: Whether `T` times the error of H is white with variance one.
     """
@@ -163,7 +163,7 @@ def compute_whitening(factor: np.ndarray) -> np.ndarray:
     Args:
         factor: `F` (rows, r), real.
     """
-    size = np.sqrt(np.mean(factor**2, axis=1))  # rows alike first, or the rank is that of the largest rows
+    size = np.sqrt(np.mean(factor**2, axis=1))  # scale rows first, or the rank is that of the largest rows
     size = np.where(size > 1e-300, size, np.inf)
     U, S, _ = np.linalg.svd(factor / size[:, None], full_matrices=False)
     keep = S > _RANK * S[0]
@@ -212,7 +212,10 @@ def compute_relative_frame(structure: SecondOrder) -> np.ndarray:
 
 
 def _factor(part: np.ndarray) -> np.ndarray:
-    """Return a lower factor of a matrix; what lies on the edge is moved in by a millionth, since the edge has no slope."""
+    """Return a lower factor of a matrix, with its eigenvalues raised to at least a millionth of the largest.
+
+    At an eigenvalue of zero the gradient of the likelihood vanishes, and the search would not leave it.
+    """
     value, vector = np.linalg.eigh(part)
     value = np.maximum(value, 1e-6 * max(value[-1], 1e-12))
     R = np.linalg.qr((vector * np.sqrt(value)).T)[1]

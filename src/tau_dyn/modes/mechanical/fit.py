@@ -1,14 +1,14 @@
-"""The two fits of M, D and K, and whether they mean something.
+"""The two fits of M, D and K, and the checks of their validity.
 
-A whole structure is fitted by maximum likelihood, weighed by the covariance of the model's parameters; a stand-in with fewer
-degrees of freedom than modes cannot be right everywhere: it spreads its relative error evenly over its band, with the static
-end counted more. Both work in scaled units and start from the conic program.
+A complete structure is fitted by maximum likelihood, weighed by the covariance of the model's parameters. A condensed
+model with fewer degrees of freedom than modes cannot fit everywhere: its relative error is spread evenly over its band,
+with more weight at the static end. Both fits work in scaled units and start from the conic program.
 
-A feasible program is not an identified matrix. `identified` takes as many modes as named degrees of freedom, a misfit that
-chance explains (`SIGNIFICANCE_LEVEL`) and that is small at every mode, and enough information to tell M and K: the standard
-error of `E` in `M = L (I + E) L'` below `MAX_RELATIVE_STDERR` in every direction. Where fewer are sensed than there are modes,
-the same matrices are at most `condensed`: a stand-in on the band where it fits. A mode that the data do not show cannot be
-counted by any of this.
+A feasible program is not an identified matrix. `identified` requires as many modes as named degrees of freedom, a
+misfit that is not significant (`SIGNIFICANCE_LEVEL`) and that is small at every mode, and enough information to
+determine M and K: the standard error of `E` in `M = L (I + E) L'` below `MAX_RELATIVE_STDERR` in every direction. If
+fewer degrees of freedom are sensed than there are modes, the same matrices are at most `condensed`: a condensed model
+on the band in which it fits. These checks cannot count a mode that the data do not show.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from tau_dyn.modes.mechanical.estimation import (
 )
 from tau_dyn.modes.mechanical.structure import STEP, Evidence, Places, SecondOrder
 
-MAX_RELATIVE_STDERR = 0.3  # standard error of a relative change of M or K beyond which the matrix is not known
+MAX_RELATIVE_STDERR = 0.3  # standard error of a relative change of M or K beyond which the matrix is not determined
 _SURE, _VAGUE = 3.0, 0.25
 """Standard errors within which a misfit at the modes may be chance, and the part of the response beyond which it may not."""
 SIGNIFICANCE_LEVEL = 1e-3
@@ -38,25 +38,25 @@ SIGNIFICANCE_LEVEL = 1e-3
 
 @dataclass(frozen=True)
 class Agreement:
-    """Where a structure stands for the model.
+    """The band in which a structure reproduces the model.
 
     Attributes:
-        valid_hz: The widest band around all wanted modes in which it does; None where it does not even there.
-        misfit: Greatest relative error of the response in that band, or at the modes where there is none.
+        valid_hz: The widest band around all wanted modes in which it does; None if it does not fit at the modes.
+        misfit: Greatest relative error of the response in that band, or at the modes if there is no band.
     """
 
     valid_hz: tuple[float, float] | None
     misfit: float
 
     def both(self, other: Agreement) -> Agreement:
-        """Return where this and another agreement hold."""
+        """Return the band in which this and another agreement hold."""
         band = None
         if self.valid_hz and other.valid_hz:
             band = (max(self.valid_hz[0], other.valid_hz[0]), min(self.valid_hz[1], other.valid_hz[1]))
         return Agreement(band, max(self.misfit, other.misfit))
 
     def reaching(self, low_hz: float) -> Agreement:
-        """Return it if its band begins at `low_hz` or below: what fits around a resonance alone stands for nothing else."""
+        """Return it if its band begins at `low_hz` or below: a fit around a resonance alone is not valid elsewhere."""
         return self if self.valid_hz and self.valid_hz[0] <= low_hz else Agreement(None, self.misfit)
 
 
@@ -68,20 +68,20 @@ def find_valid_band(
     span_hz: tuple[float, float],
     tolerance: float,
 ) -> Agreement:
-    """Return where a structure reproduces a model's response, as a matrix norm, within its uncertainty or `tolerance`.
+    """Return the band in which a structure reproduces a model's response (matrix norm) within its uncertainty or `tolerance`.
 
     Args:
         evidence: The model.
         structure: M, D, K.
         places: Which degrees of freedom the model's inputs and outputs belong to.
         modes_hz: Modes that the band must hold (k,) [Hz].
-        span_hz: Frequencies to look at.
-        tolerance: Relative error that is good enough whatever the uncertainty.
+        span_hz: Frequencies to compare.
+        tolerance: Relative error that is accepted whatever the uncertainty.
     """
     f = np.unique(np.concatenate([np.geomspace(*span_hz, 160), *(modes_hz * (1 + d) for d in (-0.01, 0.0, 0.01))]))
     s = 2j * np.pi * f
     H = evidence.at.response(s)
-    unit = places.unit(H)  # metres and radians weigh alike
+    unit = places.unit(H)  # metres and radians have equal weight
     size = np.linalg.norm(H / unit, axis=(1, 2))
     error = np.linalg.norm((places.select(structure.compliance(s)) - H) / unit, axis=(1, 2)) / size
     sigma = np.zeros(len(f))
@@ -119,9 +119,9 @@ def get_covariance(target: Target, structure: SecondOrder, factor: np.ndarray | 
     """Return the covariance (q, q) of the entries of M, D, K.
 
     Args:
-        target: What was fitted.
+        target: The response that was fitted.
         structure: The fit.
-        factor: Covariance factor (F, p, m, r) of the response, where the target's weights do not whiten it; None where they do.
+        factor: Covariance factor (F, p, m, r) of the response if the target's weights do not whiten it; else None.
     """
     frame = compute_relative_frame(structure)
     J = target.jacobian(structure) @ frame
@@ -138,7 +138,7 @@ def get_covariance(target: Target, structure: SecondOrder, factor: np.ndarray | 
 
 
 def compute_misfit_p_value(target: Target, structure: SecondOrder) -> float:
-    """Return the probability of a misfit at least as large if the model's truth is this structure; small speaks against it."""
+    """Return the p-value of the misfit under the hypothesis that this structure is true."""
     free = len(target.T) - 3 * target.places.n * (target.places.n + 1) // 2
     return float(chi2.sf(np.sum(target.misfit(structure) ** 2), free)) if free > 0 else 1.0
 
@@ -170,12 +170,12 @@ def measure_asymmetry(evidence: Evidence, places: Places) -> tuple[float, float]
 _LIFT = 0.05
 """The likelihood looks at the response off the imaginary axis by this part of the frequency: there a shift of a resonance by its
 standard error changes the response in proportion, however light the damping."""
-_STATIC = 4.0  # weight of a stand-in's error below half the first resonance, against one above
+_STATIC = 4.0  # weight of a condensed model's error below half the first resonance, relative to one above
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What is to be fitted.
+    """Input of a fit of M, D and K.
 
     Attributes:
         evidence: The model and its uncertainty.
@@ -198,9 +198,9 @@ class MechanicalFit:
 
     Attributes:
         structure: M, D, K.
-        covariance: Of the upper triangles of M, D, K, one after another (q, q); None without uncertainty.
-        agreement: Where it stands for the model.
-        consistency: Probability of so large a misfit by chance, where the weights allow to tell.
+        covariance: Covariance of the upper triangles of M, D, K, one after another (q, q); None without uncertainty.
+        agreement: The band in which it reproduces the model.
+        consistency: Probability of so large a misfit by chance, if the weights allow this test.
         unknown: Standard error of the worst relative direction of M and of K.
     """
 
@@ -221,7 +221,7 @@ def fit_full_structure(task: Task) -> MechanicalFit:
 
 
 def fit_condensed_structure(task: Task, count: int) -> MechanicalFit:
-    """Return the structure of the named degrees of freedom that best stands for the first `count` modes.
+    """Return the structure of the named degrees of freedom that best reproduces the first `count` modes.
 
     Between the named places the modes are known from every force to every sensor by reciprocity; all of that is fitted.
     """
@@ -285,7 +285,7 @@ class _Units:
 def _target(
     evidence: Evidence, places: Places, s: np.ndarray, units: _Units, weight: np.ndarray | None
 ) -> tuple[Target, np.ndarray | None]:
-    """Return what to fit, and the factor (F, p, m, r) of its covariance where there is one."""
+    """Return the target of the fit, and the factor (F, p, m, r) of its covariance if available."""
     H = units.divide(evidence.at.response(s), places)
     factor = None
     if evidence.has_covariance:

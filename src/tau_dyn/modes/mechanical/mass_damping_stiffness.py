@@ -1,8 +1,9 @@
-"""M, D and K from a black-box model: `(M s^2 + D s + K) X(s) = B U(s)`, and whether they mean anything.
+"""M, D and K from a black-box model: `(M s^2 + D s + K) X(s) = B U(s)`, and their validity.
 
-The route: the model's response in continuous time -> a conic program -> maximum likelihood with the model's own covariance -> a
-verdict. Forces and displacements keep the user's units, so M, D, K are in force per acceleration, velocity and displacement.
-References: thesis 6.3 (its form (6.14), fitted there without constraints); De Angelis, Lus, Betti & Longman 2002.
+The steps: the model's response in continuous time -> a conic program -> maximum likelihood with the model's own
+covariance -> a status. Forces and displacements keep the user's units, so M, D, K are in force per acceleration,
+velocity and displacement. References: thesis 6.3 (its form (6.14), fitted there without constraints); De Angelis, Lus,
+Betti & Longman 2002.
 """
 
 from __future__ import annotations
@@ -40,27 +41,27 @@ from tau_dyn.modes.mechanical.structure import (
 from tau_dyn.modes.state_space import StateSpace
 
 STATUSES = ("identified", "condensed", "not_identifiable")
-"""What M, D, K may be worth, best first."""
+"""Possible status of M, D, K, best first."""
 _BOTTOM, _TOP = 0.05, 0.45
-"""Band that is looked at by itself: from this part of the first resonance to this part of the sampling rate."""
+"""Default band: from this part of the first resonance to this part of the sampling rate."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mechanical:
-    """M, D, K and what they are worth.
+    """M, D, K and their validity.
 
     Attributes:
-        status: `identified`, `condensed` (a stand-in, valid in `valid_hz`) or `not_identifiable`.
+        status: `identified`, `condensed` (a condensed model, valid in `valid_hz`) or `not_identifiable`.
         why: One sentence for the status.
-        structure: M, D, K; None where not identifiable.
-        stderr: Standard errors of the entries, in the same places; None where the model came without covariance.
-        covariance: Of the upper triangles of M, D, K, one after another (q, q), or None.
+        structure: M, D, K; None if not identifiable.
+        stderr: Standard errors of the entries, in the same places; None if the model has no covariance.
+        covariance: Covariance of the upper triangles of M, D, K, one after another (q, q), or None.
         valid_hz: Band in which they reproduce the model they came from.
         misfit: Greatest relative error of the response in that band.
         consistency: Probability of so large a misfit by chance; below 0.001 the model holds more than M, D, K.
         places: Which degree of freedom each input and output belongs to.
-        hold: What the inputs do between samples, `held` or `linear`, whichever fits better.
-        sensor: What the outputs measure.
+        hold: Course of the inputs between samples, `held` or `linear`, whichever fits better.
+        sensor: Quantity that the outputs measure.
         unit: Size of their unit in SI.
     """
 
@@ -119,7 +120,7 @@ class Mechanical:
         return replace(self, structure=scaled[0], stderr=scaled[1], covariance=covariance, unit=unit * self.unit)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers and lists, null where there is none; the keys are those of the written result."""
+        """Return plain numbers and lists, null for missing values; the keys are those of the written result."""
 
         def matrices(of: SecondOrder | None) -> dict[str, Any]:
             return {name: None if of is None else getattr(of, name).tolist() for name in "MDK"}
@@ -153,10 +154,10 @@ def fit_mechanical(
 
     Args:
         source: A sampled model, or a refined one with `model`, `theta`, `covariance`, `model_at`.
-        collocated: Pairs (input, output) at one place and in one direction; None: all in order where there are as many.
-        output: What the sensors measure: displacement, velocity, acceleration, or `auto` for what fits best.
+        collocated: Pairs (input, output) at one place and in one direction; None: all in order if there are as many.
+        output: Quantity that the sensors measure: displacement, velocity, acceleration, or `auto` for the best fit.
         band: Frequencies to trust [Hz]; None: up to 0.9 of half the sampling rate.
-        complete: False where checks say that the model misses part of the response: then at most `condensed`.
+        complete: False if checks show that the model misses part of the response: then at most `condensed`.
         tolerance: Relative error of the response that counts as fitting.
 
     Raises:
@@ -190,7 +191,7 @@ def fit_mechanical(
 
 
 def _build_task(evidence: Evidence, places: Places, span: tuple[float, float], tolerance: float) -> Task | str:
-    """Return what is to be fitted, or why no structure is worth fitting."""
+    """Return the input of the fit, or why no structure is worth fitting."""
     if len(evidence.at.oscillating) > places.n:
         evidence = evidence.with_peaks_only()
     modes_hz = np.abs(evidence.at.poles[evidence.at.oscillating]) / (2 * np.pi)
@@ -204,7 +205,7 @@ def _build_task(evidence: Evidence, places: Places, span: tuple[float, float], t
 
 
 def _fit_whole(task: Task, complete: bool) -> Mechanical:
-    """Return M, D, K of as many modes as degrees of freedom, or why there are none."""
+    """Return M, D, K of as many modes as degrees of freedom, or the reason why they are not available."""
     n, modes_hz, at = task.places.n, task.modes_hz, task.evidence.at
     others = len(at.poles) + at.n_left_out - 2 * len(modes_hz)
     if not complete or others or n != len(modes_hz):
@@ -217,7 +218,7 @@ def _refused(why: str) -> Mechanical:
 
 
 def _unfit(evidence: Evidence, places: Places, modes_hz: np.ndarray, tolerance: float) -> str:
-    """Return why no structure is worth fitting, or nothing."""
+    """Return why no structure is worth fitting, or an empty string."""
     if not len(modes_hz):
         return "no information: the model has no resonance in the band"
     if np.any(evidence.at.poles.real > 0):
@@ -256,7 +257,7 @@ def _why_not_whole(places: Places, modes_hz: np.ndarray, others: int, complete: 
 
 
 def _stand_in(task: Task, reason: str) -> Mechanical:
-    """Return a structure of the named degrees of freedom for as many of the lowest modes as it can stand for."""
+    """Return a structure of the named degrees of freedom for as many of the lowest modes as it can reproduce."""
     found = _refused(reason)
     for count in range(task.places.n, 0, -1):
         found = _judged(fit_condensed_structure(task, count), task, "condensed", reason)
@@ -266,7 +267,7 @@ def _stand_in(task: Task, reason: str) -> Mechanical:
 
 
 def _judged(fit: MechanicalFit, task: Task, status: str, why: str) -> Mechanical:
-    """Return the result a fit deserves."""
+    """Return the result of a fit with its status."""
     n, worst = task.places.n, "M" if fit.unknown["M"] > fit.unknown["K"] else "K"
     if not np.isfinite(fit.unknown[worst]):
         return _refused(f"no information: some direction of {worst} leaves no trace in the response")

@@ -1,4 +1,4 @@
-"""A mass-damper-spring structure, which of it is pushed and watched, and what a sampled model says of the one behind it.
+"""A mass-damper-spring structure, its driven and sensed degrees of freedom, and the evidence in a sampled model.
 
     M q'' + D q' + K q = f,      X(s) = (M s^2 + D s + K)^{-1} B U(s)
 
@@ -9,12 +9,11 @@ collocated, because the residue of mode i is `psi_sensed psi_driven'` with one a
 With inputs held over a step, each mode of `x_{k+1} = z x_k + b u_k` is `x' = lambda x + b lambda / (z - 1) u` with
 `lambda = log(z) / dt`, exactly. A force that is a straight line between samples acts through both ends of a step: with
 `beta = b lambda^2 dt / (z - 1)^2` it drives `x' = lambda x + beta u`, and the sampled states are those less `g u`,
-`g = beta (z - 1 - lambda dt) / (lambda^2 dt)`, so that the direct part is less by `C g`. One sampled model thus stands for two
-structures, of which one fits.
+`g = beta (z - 1 - lambda dt) / (lambda^2 dt)`, so that the direct part is less by `C g`. One sampled model thus
+represents two structures, one of which fits.
 
-Uncertainty travels as a factor `F` with `F F'` the covariance of the response at chosen points; nothing depends on which
-parameters the model was written in. References: De Angelis, Lus, Betti & Longman 2002; Ewins
-2000, 2.8.
+Uncertainty is passed on as a factor `F` with `F F'` the covariance of the response at chosen points; the result does
+not depend on the parametrisation of the model. References: De Angelis, Lus, Betti & Longman 2002; Ewins 2000, 2.8.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.modes.state_space import MAX_RESONANT_DAMPING, StateSpace
 
 OUTPUTS = ("displacement", "velocity", "acceleration")
-"""What a sensor may measure; the place in the list is the order of its time derivative."""
+"""Quantities that a sensor may measure; the index is the order of the time derivative."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,11 +137,11 @@ class Places:
         return [(j, self.sensed.index(dof)) for j, dof in enumerate(self.driven) if dof in self.sensed]
 
     def select(self, compliance: np.ndarray) -> np.ndarray:
-        """Return what is measured (F, p, m) of a full compliance (F, n, n)."""
+        """Return the measured part (F, p, m) of a full compliance (F, n, n)."""
         return compliance[:, list(self.sensed)][:, :, list(self.driven)]
 
     def scale(self, response: np.ndarray) -> np.ndarray:
-        """Return a typical size of motion per root of work (n,), so that degrees in metres and in radians weigh alike.
+        """Return a typical size of motion per root of work (n,), which gives metres and radians equal weight.
 
         Args:
             response: Displacement over force (F, p, m).
@@ -174,7 +173,7 @@ class Places:
         """Return mode shapes psi (modes, n), with `psi psi'` the residues (modes, p, m), signs free."""
         U, S, Vh = np.linalg.svd(residues)
         left, right = U[:, :, 0], S[:, :1] * Vh[:, 0]
-        # the two factors share a complex scale; where a pair is collocated they are the same number
+        # the two factors share a complex scale; for a collocated pair they are the same number
         rows, columns = [i for _, i in self.pairs], [j for j, _ in self.pairs]
         ratio = np.sum(left[:, rows].conj() * right[:, columns], axis=1)
         seen = np.sum(np.abs(left[:, rows]) ** 2, axis=1)
@@ -193,7 +192,7 @@ def find_places(p: int, m: int, collocated: Sequence[tuple[int, int]] | None) ->
     Args:
         p: Number of outputs.
         m: Number of inputs.
-        collocated: Pairs (input, output) at one degree of freedom; None: all in order where p equals m, else none.
+        collocated: Pairs (input, output) at one degree of freedom; None: all in order if p equals m, else no pairs.
 
     Raises:
         InputError: A pair names an input or output that does not exist, or one twice.
@@ -215,7 +214,7 @@ STEP = 1e-2  # step of the central differences, in standard errors
 
 
 class HasResiduals(Protocol):
-    """What a refined model must offer."""
+    """Interface of a refined model."""
 
     model: StateSpace
     theta: np.ndarray
@@ -278,7 +277,7 @@ class Continuous:
 
 
 HELD, LINEAR = "held", "linear"
-"""What an input does between samples: stays as it was, or follows a straight line."""
+"""Course of an input between samples: held constant, or a straight line."""
 
 
 def convert_to_continuous(model: StateSpace, derivative: int = 0, hold: str = HELD) -> Continuous:
@@ -287,10 +286,10 @@ def convert_to_continuous(model: StateSpace, derivative: int = 0, hold: str = HE
     Args:
         model: The sampled model.
         derivative: How often its outputs are differentiated.
-        hold: What inputs do between samples: `held` or `linear`.
+        hold: Course of the inputs between samples: `held` or `linear`.
 
     Raises:
-        CannotAnswer: All poles lie where no continuous-time system puts one.
+        CannotAnswer: No pole has a counterpart in continuous time.
     """
     z, V = np.linalg.eig(model.A)
     z, left, right = z.astype(complex), model.C @ V, np.linalg.solve(V.astype(complex), model.B)
@@ -316,7 +315,7 @@ def convert_to_continuous(model: StateSpace, derivative: int = 0, hold: str = HE
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """A model and what its parameters' covariance says of its response.
+    """A model and the uncertainty of its response that follows from the covariance of its parameters.
 
     Attributes:
         at: The model in continuous time.
@@ -344,7 +343,7 @@ class Evidence:
         return Evidence(replace(self.at, only_peaks=True), near, self.dt)
 
     def completed(self, places: Places) -> Evidence:
-        """Return what the oscillating modes say of every pair of named degrees of freedom."""
+        """Return the response of the oscillating modes between every pair of named degrees of freedom."""
         near = tuple((up.completed(places), down.completed(places)) for up, down in self.nearby)
         return Evidence(self.at.completed(places), near, self.dt)
 
@@ -355,10 +354,10 @@ def build_evidence(source: StateSpace | HasResiduals | Any, derivative: int = 0,
     Args:
         source: A `StateSpace`, or anything with `model`, `theta`, `covariance` and `model_at`.
         derivative: How often its outputs are differentiated.
-        hold: What inputs do between samples: `held` or `linear`.
+        hold: Course of the inputs between samples: `held` or `linear`.
 
     Raises:
-        CannotAnswer: A pole lies where no continuous-time system puts one.
+        CannotAnswer: A pole has no counterpart in continuous time.
     """
     if isinstance(source, StateSpace):
         return Evidence(convert_to_continuous(source, derivative, hold), (), source.dt)
@@ -372,7 +371,7 @@ def build_evidence(source: StateSpace | HasResiduals | Any, derivative: int = 0,
 
 def _steps(theta: np.ndarray, covariance: np.ndarray, model_at: Callable[[np.ndarray], StateSpace]):
     """Yield the models along the principal directions of the correlation; directions known exactly are left out."""
-    known = np.isfinite(np.diag(covariance))  # modes that cannot be told apart have none
+    known = np.isfinite(np.diag(covariance))  # modes that cannot be distinguished have nan
     covariance = np.where(np.outer(known, known), covariance, 0.0)
     size = np.sqrt(np.maximum(np.diag(covariance), 0))
     unit = np.where(size > 0, size, 1)
