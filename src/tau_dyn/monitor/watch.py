@@ -246,7 +246,7 @@ class Watch:
             have = BLOCK_S * (len(self._learning) if np.isnan(self._threshold) else self._wanted)
             raise CannotAnswer(
                 "too_little_data",
-                f"no change was tested: the logs hold {have:g} s of motion that can be used, and the first {self.reference_s:g} s "
+                f"no change was found: the logs hold {have:g} s of motion that can be used, and the first {self.reference_s:g} s "
                 "are the reference",
                 f"name logs of the normal robot first, with {self.reference_s:g} s of motion or more, such as those that the "
                 "model was fitted to; then those to watch",
