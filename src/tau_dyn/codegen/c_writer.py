@@ -179,7 +179,7 @@ def build_identifiers(names: Iterable[str]) -> list[str]:
 
 
 def escape_comment_line(line: str) -> str:
-    """Return one line of a comment that nothing in it ends, and that is plain ASCII.
+    """Return one line of a comment in plain ASCII that cannot end the comment early.
 
     `*/` ends a comment, `/*` and trigraphs draw warnings, invisible characters can make text look like code.
     """
@@ -192,7 +192,7 @@ def escape_comment_line(line: str) -> str:
 
 
 def format_header(name: str, words: Iterable[str], declared: Sequence[str]) -> str:
-    """Return a header: what it is, then declarations that C and C++ read."""
+    """Return a header: a description, then declarations that C and C++ accept."""
     guard = f"{name.upper()}_H"
     said = "\n".join(f" * {escape_comment_line(line)}".rstrip() for line in words)
     frame = ["#ifdef __cplusplus", 'extern "C" {', "#endif"], ["#ifdef __cplusplus", "}", "#endif"]

@@ -53,7 +53,7 @@ def write_c_source(program: Program, name: str = "tau_ff") -> tuple[str, str]:
 
     Args:
         program: From `build_program`.
-        name: Of the function; also of the header, `name.h`.
+        name: Name of the function and of the header, `name.h`.
 
     Raises:
         InputError: The name is no identifier of C, or means something else there.

@@ -25,7 +25,7 @@ from tau_dyn.version import __version__
 
 
 def write_fmu_source(equations: Equations, guid: str, about: str) -> str:
-    """Return the source, which needs no header of others beyond the C library's; `about` says what it is, in a paragraph."""
+    """Return the source, which includes headers of the C library only; `about` is a paragraph that describes the FMU."""
     return "\n\n".join(_yield_parts(equations, guid, about)) + "\n"
 
 
@@ -117,7 +117,7 @@ def format_identifier(name: str) -> str:
 
 
 def format_description(equations: Equations, guid: str, about: str) -> str:
-    """Return the file's text; `about` says in a paragraph what the FMU is."""
+    """Return the file's text; `about` is a paragraph that describes the FMU."""
     model = equations.model
     identifier, variables = format_identifier(model.robot.name), build_variables(equations)
     root = Element(

@@ -1,9 +1,9 @@
-"""An expression graph: what a computation does to its inputs, recorded once, to be written out in another language.
+"""An expression graph: the operations of a computation, recorded once, to be written out in another language.
 
-A `Node` stands for a number that is not known yet. Arithmetic on nodes records instead of computing; equal expressions become one
-node, and what depends on no input stays a plain float. Every node also carries its value at one reference state, so that a
-question asked of it (`if height > 0`) can be answered on the spot; the answer is kept as a guard, which the written code checks.
-Reference: King 1976 (symbolic execution); Godefroid, Klarlund & Sen 2005 (with a concrete value beside it).
+A `Node` represents a number that is not known yet. Arithmetic on nodes records instead of computing; equal expressions become
+one node, and a value that depends on no input stays a plain float. Every node also carries its value at one reference state, so
+that a comparison (`if height > 0`) can be evaluated during tracing; its result is kept as a guard, which the written code
+checks. Reference: King 1976 (symbolic execution); Godefroid, Klarlund & Sen 2005 (with concrete values).
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Graph:
         return self._node("const", (float(value),), float(value))
 
     def apply(self, op: str, *args: Any) -> Any:
-        """Return what an operation makes of nodes and numbers: a node, or a number where nothing is unknown."""
+        """Return the result of an operation on nodes and numbers: a node, or a number if all arguments are numbers."""
         if not any(isinstance(x, Node) for x in args):
             return MEANING[op](*args)
         simple = _simplified(op, args)
