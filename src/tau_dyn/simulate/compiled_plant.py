@@ -95,7 +95,7 @@ def _trace_model(
 
 
 def _identify(model: Model, shown: Sequence[DisplacementEffect], campaign: float | None) -> tuple:
-    """Return what tells two models apart but for their values."""
+    """Return a key that identifies a model except for its parameters' values."""
     robot = model.robot
     parts = (getattr(robot, f.name) for f in fields(robot) if f.name != "parameters")
     names = model.parameters.names
@@ -106,7 +106,7 @@ _TRACED = _TracedModels()
 
 
 class PlantMotion(NamedTuple):
-    """A run: positions, velocities, accelerations, forces and who stood still (N, na), and what the encoders read.
+    """A run: positions, velocities, accelerations, forces and whether friction held a joint (N, na), and the encoders' readings.
 
     `compute_tool` gives the tool's positions (N, 3) along positions (N, na), or None.
     """
@@ -138,13 +138,13 @@ class CompiledPlant:
     def find(
         cls, model: Model, n_samples: int, surroundings: EffectSurroundings | None = None, *, encoders: bool = False
     ) -> CompiledPlant | None:
-        """Return a model's plant where compiled code is possible and pays for a run of this length, else None.
+        """Return a model's compiled plant if compilation is possible and saves time for a run of this length, else None.
 
         Args:
             model: The model.
-            n_samples: Steps of the plant that are to be simulated.
-            surroundings: By default a room that warms up.
-            encoders: Whether the encoders' errors are felt.
+            n_samples: Number of plant steps to be simulated.
+            surroundings: Surroundings; by default a room that warms up.
+            encoders: Whether the encoders' errors are simulated.
         """
         robot = model.robot
         passive = robot.model.nv - robot.na if robot.loops and model.mechanism.equations == "tree" else 0
@@ -343,7 +343,7 @@ class _Run:
         )
 
     def _put(self, name: str, values: np.ndarray | None, kind: Any = float) -> None:
-        """Hand an array over; None for none."""
+        """Pass an array to the compiled code; skip `None`."""
         if values is None:
             return
         self._arrays[name] = array = np.ascontiguousarray(values, kind)

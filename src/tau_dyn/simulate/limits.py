@@ -58,7 +58,7 @@ def describe_exceeded_limit(
 
 
 def describe_slowing(model: Model, motion: Trajectory) -> str:
-    """Return a clause on how much slower a motion keeps the robot's limits, and what makes such a one; empty where none does."""
+    """Return a clause that reports how much slower a motion keeps the robot's limits, and options for it; '' if no speed does."""
 
     def is_within(factor: float) -> bool:
         slow = replace(motion, t=motion.t * factor, v=motion.v / factor, a=motion.a / factor**2)

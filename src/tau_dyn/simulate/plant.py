@@ -42,7 +42,7 @@ _TOLERANCE = 1e-11  # of the largest friction force
 
 
 class Slip(NamedTuple):
-    """Velocities after the step (na,), friction forces (na,) [N or N m], and who stands still (na,)."""
+    """Velocities after the step (na,), friction forces (na,) [N or N m], and which joints rest (na,)."""
 
     u: np.ndarray
     force: np.ndarray
@@ -153,14 +153,14 @@ def run_plant(
 ) -> PlantRun:
     """Let a controller drive the robot along a reference, from rest at the reference's start.
 
-    A cascade runs as compiled code where that is possible and pays (`compiled_plant.py`).
+    A cascade runs as compiled code if that is possible and saves time (`compiled_plant.py`).
 
     Args:
         model: The plant.
         reference: Motion sampled evenly at the control rate.
-        controller: Is given the measured positions of each sample and answers with the forces around it.
-        encoder: What is read of positions (na,) in sample k; by default the true ones.
-        progress: Is told the share that is done.
+        controller: Computes the forces around each sample from its measured positions.
+        encoder: Gives the readings of positions (na,) in sample k; by default the true positions.
+        progress: Called with the share that is done.
 
     Raises:
         InputError: The feedback is unstable.
@@ -232,7 +232,7 @@ def follow_cascade(
 def free_motion(
     model: Model, q0: np.ndarray, v0: np.ndarray, duration: float, dt: float = 1e-3, tau: np.ndarray | None = None
 ) -> PlantRun:
-    """Let the robot move from a state (na,), (na,) for a time [s], under a constant force (na,) or none."""
+    """Let the robot move from a state (na,), (na,) for a time [s], under a constant force (na,) or without force."""
     n = round(duration / dt) + 1
     plant = Plant(model, q0, v0, dt)
     force = np.zeros(model.robot.na) if tau is None else np.asarray(tau, float)
@@ -247,7 +247,7 @@ def free_motion(
 
 
 class _Recorder:
-    """Keeps what the plant does, sample by sample."""
+    """Records the plant's motion and forces, sample by sample."""
 
     def __init__(self, model: Model, n: int) -> None:
         self.model = model

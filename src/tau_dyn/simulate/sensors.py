@@ -1,4 +1,4 @@
-"""What a recording shows of what happened: encoders that round, forces with coloured noise, a log rate, and effects on a log.
+"""Sensors between the true motion and the log: encoders that round, forces with coloured noise, a log rate, and effects on a log.
 
     q_shown = q + displacement @ parameters,     tau_shown(t) = tau(t - delay),     tool_shown = T(q) + shift @ parameters,
     q_read = resolution * round((q_shown + noise) / resolution),   tau_log = tau_shown + coloured noise.
@@ -7,9 +7,9 @@ The plant moves the loads; encoders read in front of them. Where the displacemen
 error, a scale, a play, a loop), the controller reads it too. A `joint_compliance` reaches the log alone: its quasi-static law
 knows no resonance, which a feedback through it would excite. Carts off their guideways move the tool's position alone.
 
-A log is *sampled*, not averaged: drives write their registers at each log tick. So noise above half the log rate folds
-down, as it does in recordings, and positions and forces keep one clock; a mean over the ticks would delay them. Force noise
-has the spectrum asked for at the log rate. Encoder noise is white at the control rate, where it also enters the feedback.
+A log is *sampled*, not averaged: drives write their registers at each log tick. So noise above half the log rate folds down, as
+it does in recordings, and positions and forces keep one clock; a mean over the ticks would delay them. Force noise has the
+requested spectrum at the log rate. Encoder noise is white at the control rate, where it also enters the feedback.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class EncoderErrors:
 
 
 def record_run(run: PlantRun) -> PlantRun:
-    """Return a run with what perfect sensors show of it beside what happened; see `PlantRun`.
+    """Return a run with the readings of perfect sensors added to the true signals; see `PlantRun`.
 
     Raises:
         InputError: An effect is neither of the robot nor of its sensors.
@@ -254,7 +254,7 @@ class Sensors:
         return _round_to(q, broadcast_per_joint(self.encoder_resolution, q.shape[-1], "encoder_resolution"))
 
     def read_forces(self, tau: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Return what the drives report of forces (N, na) [N or N m]."""
+        """Return the forces that the drives report (N, na) [N or N m]."""
         absolute = broadcast_per_joint(self.force_noise, tau.shape[1], "force_noise")
         relative = broadcast_per_joint(self.force_noise_relative, tau.shape[1], "force_noise_relative")
         sd = np.hypot(absolute, relative * np.sqrt(np.mean(tau**2, axis=0)))
@@ -286,7 +286,7 @@ class Sensors:
 
 
 class EncoderReadings:
-    """What a controller reads of the true positions, sample by sample: its encoders' errors, noise, rounding."""
+    """A controller's readings of the true positions, sample by sample: encoder errors, noise, rounding."""
 
     def __init__(self, model: Model, sensors: Sensors, n_samples: int, rng: np.random.Generator) -> None:
         """Draw the noise of all samples."""
@@ -297,7 +297,7 @@ class EncoderReadings:
         self._errors = EncoderErrors(model)
 
     def __call__(self, k: int, q: np.ndarray) -> np.ndarray:
-        """Return what is read in sample k of positions (na,)."""
+        """Return the readings of positions (na,) in sample k."""
         return _round_to((self._errors.read(q) if self._errors.any else q) + self.noise[k], self.resolution)
 
 
