@@ -152,7 +152,7 @@ class WeightArms(NamedTuple):
 
 
 class BatchedTree:
-    """Dynamics of one robot for arrays of samples; see `Mechanism` for what each method returns."""
+    """Dynamics of one robot for arrays of samples; see `Mechanism` for the return value of each method."""
 
     def __init__(self, robot: Robot, solver: LoopSolver, joints: list[Joint]) -> None:
         """Prepare for a robot with its parameters' values."""
@@ -265,7 +265,7 @@ class BatchedTree:
             Y[partial.movers, weight.column] += self._held(closed, partial, weight)
 
     def _body(self, closed: ClosedLoops, moving: FrameMotion | None, partial: Partial, joint: int) -> BodyMotion:
-        """Return a body's partial velocities and motion in its own axes; without motion where none is given."""
+        """Return a body's partial velocities and motion in its own axes; without motion if no motion is given."""
         rotation = closed.at.rotation[joint]
 
         def own(x: Vector) -> Vector:
@@ -315,7 +315,7 @@ class BatchedTree:
 
 
 def _as_slice(movers: np.ndarray) -> slice | np.ndarray:
-    """Return joints that follow each other as a slice, which copies nothing."""
+    """Return consecutive joints as a slice, which avoids a copy."""
     n = len(movers)
     return slice(movers[0], movers[0] + n) if n and movers[-1] - movers[0] == n - 1 else movers
 

@@ -193,7 +193,7 @@ def build_chains(rods: Legs) -> list[RootChain | NewtonChain]:
 
 
 def _cut(numbers: RodDimensions, own: tuple[int, ...], actuators: tuple[int, ...]) -> RodDimensions:
-    """Return the numbers of some rods, with joints and actuators numbered anew."""
+    """Return the dimensions of some rods, with joints and actuators renumbered."""
     rows = list(own)
     used = sorted({i for k in own for i in frames.list_path(numbers.joints, numbers.carried.carrier[k])})
     index = {-1: -1} | {old: new for new, old in enumerate(used)}

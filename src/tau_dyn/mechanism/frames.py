@@ -1,16 +1,16 @@
 r"""Frames, rotations and motion of trees and of actuated chains for many samples at once: `(3, N)`, `(3, 3, N)`.
 
-Every number is a row of N samples, so NumPy spends its time in long loops instead of in calls. All vectors are in world
+Every number is a row of N samples, so that NumPy works in long loops instead of in many calls. All vectors are in world
 axes; a tree's joints have one degree of freedom, whose position is an angle or a length whatever Pinocchio's configuration is.
 A zero motion is `None`, so that carts on rails cost no cross products. Reference: Featherstone 2008, ch. 4 and 5.
 
-Of an actuated chain, a joint sits at `o` in its parent's frame. A slide moves along `d`, a turn rotates by `Exp(q d)`; both
+A joint of an actuated chain is at `o` in its parent's frame. A slide moves along `d`, a turn rotates by `Exp(q d)`; both
 before the constant rotation `R_0` of its own frame:
 
     slide: p = o + q d, R = R_0;        turn: p = o, R = Exp(q d) R_0.
 
-So the length of `d` is the drive's gain: 1 in a robot file, something else after a calibration. What does not depend on `q`
-stays a constant `(3, 1)` or `(3, 3, 1)`. Reference: thesis (4.16) to (4.24).
+So the length of `d` is the drive's gain: 1 in a robot file, something else after a calibration. A quantity that does not depend
+on `q` stays a constant `(3, 1)` or `(3, 3, 1)`. Reference: thesis (4.16) to (4.24).
 """
 
 from __future__ import annotations

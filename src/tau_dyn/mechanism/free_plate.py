@@ -1,11 +1,10 @@
 r"""Forward kinematics of a plate with six freedoms: Newton on SE(3) for many samples at once, in home's assembly mode.
 
-A robot like this may be assembled in up to 40 ways at the same actuated positions. Home's is followed: the positions'
-space is cut into cells, the middle of a sample's cell is walked to from home in small steps, and Newton starts from
-there, moved along the slope `dX/dq`. So a pose depends on its own `q` alone: in which order, block or process samples
-come changes nothing, and a trajectory cannot jump. Where the straight way from home is barred, ways along the axes are
-tried. The sign of the Jacobian's determinant tells when a solution lies beyond a singularity. Reference: thesis (4.32),
-(4.33); Merlet 2006, ch. 4.4.
+A robot like this may be assembled in up to 40 ways at the same actuated positions. Home's is followed: the positions' space is
+cut into cells, the middle of a sample's cell is walked to from home in small steps, and Newton starts from there, moved along
+the slope `dX/dq`. So a pose depends on its own `q` alone, not on the order, block or process of the samples, and a trajectory
+cannot jump. If the straight way from home is blocked, ways along the axes are tried. The sign of the Jacobian's determinant
+shows when a solution is beyond a singularity. Reference: thesis (4.32), (4.33); Merlet 2006, ch. 4.4.
 """
 
 from __future__ import annotations
@@ -101,7 +100,7 @@ class FreePlate:
         return code
 
     def _detour(self, q: np.ndarray, again: np.ndarray, solved: Solved, code: np.ndarray) -> None:
-        """Try other ways from home for these samples; write what they give."""
+        """Try other ways from home for these samples, and write their results into `solved` and `code`."""
         home = self.rods.robot.home
         order = range(self.rods.na)
         for way in (None, list(order), list(order)[::-1]):

@@ -72,7 +72,7 @@ class ManifoldInverse:
     def solve(
         self, tool: Poses, signs: tuple[int, ...], walk: bool, start: np.ndarray | None = None
     ) -> tuple[np.ndarray, Poses]:
-        """Return positions (N, na) and the tool's poses there; nan where there are none.
+        """Return positions (N, na) and the tool's poses there; nan without a solution.
 
         Args:
             tool: Poses wanted.
@@ -245,7 +245,7 @@ class CommandedInverse(ManifoldInverse):
         return np.where(good[:, None], q, np.nan), reached
 
     def _closed(self, wanted: np.ndarray, tool: Poses, q: np.ndarray) -> tuple[np.ndarray, Poses]:
-        """Return closed positions and poses with these commanded coordinates (N, k), from starts; nan where there are none."""
+        """Return closed positions and poses with these commanded coordinates (N, k), from starts; nan without a solution."""
         q, position, rotation = q.copy(), tool.position.copy(), np.array(tool.rotation)
 
         def advance(left: np.ndarray) -> tuple[np.ndarray, np.ndarray, Move]:
@@ -272,7 +272,7 @@ class CommandedInverse(ManifoldInverse):
 
 
 def _measure_rail(numbers: RodDimensions, k: int) -> Callable[[np.ndarray], np.ndarray] | None:
-    """Return the distance (N,) [m] of places (N, 3) to all that rod k's point A can reach, limits aside.
+    """Return the distance (N,) [m] of positions (N, 3) to the set that rod k's point A can reach without limits.
 
     A point at rest, on one slide (a line) or on one turn (a circle) has one; None for longer chains.
     """

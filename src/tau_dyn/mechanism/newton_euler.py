@@ -84,7 +84,7 @@ class TreeForces(NamedTuple):
 
     Attributes:
         tau: The joints' forces (nv, N), without drive inertia.
-        beyond: What the links behind each joint's own exert on that one, in its axes (3, N), by Pinocchio's index.
+        beyond: Force of the links beyond each joint's own link on that link, in its axes (3, N), by Pinocchio's index.
     """
 
     tau: np.ndarray

@@ -121,7 +121,7 @@ _SINGULAR = 1e-6  # smallest singular value of its legs' directions by the large
 
 @dataclass(frozen=True, eq=False)
 class PlateOnLegs(Legs, Kinematics):
-    """A plate on legs and its solvers; see `Legs` for its attributes and `Kinematics` for what it answers."""
+    """A plate on legs and its solvers; see `Legs` for its attributes and `Kinematics` for its methods."""
 
     @property
     def equations(self) -> str:

@@ -46,12 +46,12 @@ class Poses(NamedTuple):
 
     @classmethod
     def join(cls, parts: Sequence[Poses]) -> Poses:
-        """Return the poses of all parts, one after the other; of no parts, none."""
+        """Return the poses of all parts, one after the other; without parts, empty poses."""
         position, rotation = [p.position for p in parts], [p.rotation for p in parts]
         return cls(np.concatenate([np.zeros((0, 3)), *position]), np.concatenate([np.zeros((0, 3, 3)), *rotation]))
 
     def after(self, placement: pin.SE3) -> Poses:
-        """Return the poses (N) of a frame that sits at `placement` in this one."""
+        """Return the poses (N) of a frame that is fixed at `placement` in this one."""
         position = self.position
         if placement.translation.any():
             position = position + self.rotation @ placement.translation
@@ -174,7 +174,7 @@ class _Judged:
     code: np.ndarray
 
     def __repr__(self) -> str:
-        """Return how many samples have an answer, and why the others have none."""
+        """Return how many samples have a solution, and why the others do not."""
         why = [f"{np.sum(self.code == k)} {REASONS[k]}" for k in np.unique(self.code) if k != OK]
         return f"{type(self).__name__}: {np.sum(self.ok)} of {len(self.code)} answered{', '.join(['', *why])}"
 
@@ -185,7 +185,7 @@ class _Judged:
 
     @property
     def reason(self) -> np.ndarray:
-        """Why there is none, '' where there is one (N,)."""
+        """Reason for a missing solution, '' with a solution (N,)."""
         return REASONS[self.code]
 
 
@@ -194,8 +194,8 @@ class ForwardResult(_Judged):
     """Poses from actuated positions.
 
     Attributes:
-        poses: Of the tool, nan where there is none.
-        plate: Of the plate; for a robot without one the tool's again.
+        poses: Poses of the tool, nan without a solution.
+        plate: Poses of the plate; for a robot without a plate, those of the tool.
         code: Index into `REASONS` (N,).
     """
 
@@ -209,12 +209,12 @@ class InverseResult(_Judged):
     """Actuated positions from poses.
 
     Attributes:
-        q: (N, na) [m or rad], nan where there are none.
+        q: Actuated positions (N, na) [m or rad], nan without a solution.
         code: Index into `REASONS` (N,).
         position_error: How far the tool is from the pose asked for (N,) [m]; nan without positions.
-        orientation_error: By which angle it is turned from it (N,) [rad]; more than rounding only where the robot has too few
-            freedoms for the orientation asked for.
-        culprit: Actuated joints to blame, '' for none (N,).
+        orientation_error: Angle between the tool and the pose asked for (N,) [rad]; above rounding only if the robot has too
+            few degrees of freedom for the orientation asked for.
+        culprit: Actuated joints that caused the failure, '' without one (N,).
         unlimited: Positions before joint limits were looked at (N, na).
         rotation: Rotation that the tool takes there (N, 3, 3), the one asked for where the robot can; nan without `unlimited`.
     """
@@ -250,7 +250,7 @@ def unwind_turns(q: np.ndarray, turns: np.ndarray, lower: np.ndarray, upper: np.
     """Return positions (N, na) with those outside their limits moved by a whole turn where that fits.
 
     Args:
-        q: Positions (N, na) [m or rad], nan where there are none.
+        q: Positions (N, na) [m or rad], nan without a solution.
         turns: Which of the joints are turns that may be moved (na,).
         lower: Lower limits (na,).
         upper: Upper limits (na,).

@@ -5,12 +5,12 @@ of the plate, linear and angular in world axes, changes `f` by `-(d_k . x + (r_k
 
     [d_k, r_k x d_k] (x, w) = f,   T <- T + x,   R <- Exp(w) R
 
-without angles, hence without singular orientations (thesis (4.14), (4.33); Merlet 2006, ch. 4).
+without angles and so without singular orientations (thesis (4.14), (4.33); Merlet 2006, ch. 4).
 
 Parameters: `<rod>.length`, `<rod>.base_x` (A in the frame of the link that carries it), `<rod>.plate_x` (B in the plate's
 frame), `<joint>.origin_x` and `<joint>.direction_x` of an actuated slide, `<joint>.axis_x` of an actuated turn, both in the
 parent's frame; a direction's or axis' length is the drive's gain (thesis, section 5.4). A simplified Gantry-Tau has instead,
-arm by arm, `<arm>.length`, `.origin_x`, `.direction_x`: what its plate and cart joints add is part of the origin (thesis
+arm by arm, `<arm>.length`, `.origin_x`, `.direction_x`: the offsets of its plate and cart joints are part of the origin (thesis
 (4.7)). A slide in a rod lengthens it: `length` is then the length with the slide at zero.
 """
 
@@ -147,12 +147,12 @@ class RodDimensions:
     """A rod robot's geometry.
 
     Attributes:
-        names: Of the rods.
+        names: Names of the rods.
         joints: Actuated joints of the chains.
         carried: Points A.
-        lengths: (n,) [m]; of a rod with a slide, at the slide's zero.
+        lengths: Lengths (n,) [m]; for a rod with a slide, at the slide's zero.
         on_plate: Points B in the plate's frame (n, 3) [m].
-        slides: Actuator of the slide in each rod (n,), -1 for none.
+        slides: Actuator of the slide in each rod (n,), -1 without a slide.
         offsets: How far the slide's line misses A (n,) [m].
         gains: How much the slide lengthens the rod per reading of its drive (n,): 1, or -1 where it shortens it, times its scale.
         arms: Names of the arms of a simplified Gantry-Tau, in the rods' order, else empty.
@@ -241,7 +241,7 @@ def compute_gap_columns(
         q: Actuated positions (na, N).
         places: Points A (n, 3, N) [m].
         unit: Directions from B to A (n, 3, N).
-        plate_rotation: Of the plate (3, 3, N).
+        plate_rotation: Rotation of the plate (3, 3, N).
     """
     found: dict[tuple[int, str], np.ndarray] = {}
     for k, name in enumerate(numbers.names):

@@ -8,13 +8,13 @@ Joint 6 leaves its own axis in place: a point `p` on it and its direction `l` gi
 
     p,   l,   p x l,   (p . p) l - 2 (p . l) p,   p . p,   p . l
 
-whose right sides are linear in eight products of sines and cosines of `q_1`, `q_2`. What is orthogonal to those leaves six
-equations in the nine products of `q_4`, `q_5`, linear in the sine and cosine of `q_3`. Here all are written in `w = exp(i q)`:
-real angles lie on the unit circle, `q = pi` is a point like any other, and the factor `(1 + x^2)^4` of the half-angle form
-lies at 0 and infinity. The equations and those times `w_4` are a matrix polynomial of 12 rows, `(A w^2 + B w + C) m = 0`, with
-24 eigenvalues (Manocha & Canny 1994). Where it is regular, every solution is among them; the rest is bookkeeping: each
-eigenvalue that may lie on the circle must give its solutions or show that it has none. Any joint may be taken as the third:
-the loop has no first joint, and where special axes make one polynomial singular another is regular.
+whose right sides are linear in eight products of sines and cosines of `q_1`, `q_2`. The orthogonal complement of those leaves
+six equations in the nine products of `q_4`, `q_5`, linear in the sine and cosine of `q_3`. Here all are written in `w = exp(i
+q)`: real angles lie on the unit circle, `q = pi` is a regular point, and the factor `(1 + x^2)^4` of the half-angle form has
+its roots at 0 and infinity. The equations and those times `w_4` are a matrix polynomial of 12 rows, `(A w^2 + B w + C) m = 0`,
+with 24 eigenvalues (Manocha & Canny 1994). Where it is regular, every solution is among them; the rest is bookkeeping: each
+eigenvalue that may lie on the circle must give its solutions or be shown to have no solution. Any joint may be taken as the
+third: the loop has no first joint, and where special axes make one polynomial singular another is regular.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ MAX_SOLUTIONS = 16
 
 
 class Candidates(NamedTuple):
-    """What one elimination gives.
+    """The result of one elimination.
 
     Attributes:
         q: Rows of angles near all real solutions (m, 6) [rad]; two may lead to the same one.
         needed: Number of real solutions below which some are missing.
-        doubt: Why the rows may not be all, '' where they are.
+        doubt: Why solutions may be missing, '' if the rows are complete.
     """
 
     q: np.ndarray
@@ -60,15 +60,15 @@ class Candidates(NamedTuple):
 
 
 class _Polynomial(NamedTuple):
-    """Coefficients of w^0, w^1, w^2 with joint `first + 3` third.
+    """Coefficients of w^0, w^1, w^2 with joint `first + 3` as the third.
 
     Attributes:
         first: Index of the joint that is taken as the first.
         G: Placements from there (6, 4, 4), lengths relative to the longest.
-        tall: Of all equations (3, rows, 12).
-        square: Of twelve combinations of them (3, 12, 12).
-        error: Of the coefficients, relative to their size.
-        regular: Smallest singular value relative to the largest; zero of a singular polynomial.
+        tall: Coefficients of all equations (3, rows, 12).
+        square: Coefficients of twelve combinations of them (3, 12, 12).
+        error: Error of the coefficients, relative to their size.
+        regular: Smallest singular value relative to the largest; zero for a singular polynomial.
     """
 
     first: int
@@ -165,7 +165,7 @@ def _invariants(X: np.ndarray) -> np.ndarray:
 
 
 def _find_on_circle(P: _Polynomial) -> tuple[list[tuple[complex, int]], str]:
-    """Return eigenvalues near the unit circle with how often each stands, and a doubt about the others."""
+    """Return eigenvalues near the unit circle with the multiplicity of each, and a doubt about the others."""
     from scipy.linalg import eig
 
     zero, one, C = np.zeros((12, 12)), np.eye(12), P.square
@@ -223,9 +223,9 @@ def _solve_products(P: np.ndarray, multiplicity: int, error: float) -> tuple[lis
 
 
 def _complete(G: np.ndarray, q345: np.ndarray) -> tuple[list[np.ndarray], str]:
-    """Return rows of six angles with these of joints 3 to 5, none where joint 2's angle is complex, and a doubt.
+    """Return rows of six angles with these of joints 3 to 5, no rows if joint 2's angle is complex, and a doubt.
 
-    What joint 1 leaves in place is linear in the cosine and sine of joint 2's angle.
+    The components that joint 1 leaves in place are linear in the cosine and sine of joint 2's angle.
     """
     R3, R4, R5 = _turn(q345)
     tail = G[2] @ R3 @ G[3] @ R4 @ G[4] @ R5 @ G[5]

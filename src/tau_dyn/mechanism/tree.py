@@ -6,7 +6,7 @@ The regressor is Pinocchio's, projected by `G` and mapped to `robot.parameters`.
 inertia; its torque regressor does not, so we append those columns. Reference: Khalil & Dombre 2002, ch. 7 and 10.
 
 Forces inside come from the same virtual work: no drive holds the passive joints, so the loops' forces `lambda` do,
-`J_p' lambda = tau_p`; with them in place a recursion over the tree gives what each joint carries.
+`J_p' lambda = tau_p`; with them in place a recursion over the tree gives the load of each joint.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ class SamplewiseTree(Mechanism):
         return out
 
     def guide_load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Return what each joint's guide carries (N, na); see `Mechanism.guide_load`."""
+        """Return the load of each joint's guide (N, na); see `Mechanism.guide_load`."""
         q, v, a = self._checked(q, v, a)
         load = np.sqrt(np.sum(self.guide_force(q, v, a) ** 2, axis=2))
         hinges = [k for k in range(self.robot.na) if k not in self._sliding]
@@ -197,7 +197,7 @@ class SamplewiseTree(Mechanism):
         return np.linalg.lstsq(jacobian.T, tau[passive], rcond=1e-10)[0].reshape(-1, 3)
 
     def _across(self, i: int, pulls: np.ndarray) -> np.ndarray:
-        """Return the force (3,) across a slide's axis that lies beyond its own link, after `rnea`; loops pull (loops, 3)."""
+        """Return the force (3,) across a slide's axis from beyond its own link, after `rnea`, with the loops' forces (loops, 3)."""
         model, data, joint = self.model, self.data, self.model.getJointId(self.robot.actuated[i])
         beyond = self._carried_by()[1][i] @ pulls
         for child in (c for c in range(1, model.njoints) if model.parents[c] == joint):
@@ -209,7 +209,7 @@ class SamplewiseTree(Mechanism):
         return beyond - (beyond @ axis) * axis
 
     def _refuse_free_motion(self) -> None:
-        """Refuse a mechanism whose passive joints could move by themselves; a rod's spin, which nothing drives, is fine."""
+        """Refuse a mechanism whose passive joints could move by themselves; a rod's spin, which is not driven, is accepted."""
         free = self.solver.free_motions()
         if not free.size:
             return
@@ -380,10 +380,10 @@ class TreeMechanism(SamplewiseTree):
 
 
 def build_mechanism(robot: Robot) -> Mechanism:
-    """Return the fastest exact dynamics for a robot: the closed form where its file declares one that holds, else Pinocchio.
+    """Return the fastest exact dynamics for a robot: the closed form if its file declares a valid one, else Pinocchio.
 
-    It holds where rods are slender, sit on the carts' origins and follow their masses; one sample near home shows it. Dynamics
-    remember the last closure, so every call makes its own; its kinematics are kept beside the robot (`build_kinematics`).
+    It is valid if rods are slender, start at the carts' origins and follow their masses; one sample near home is checked.
+    Dynamics keep the last closure, so every call makes its own; the kinematics are cached for the robot (`build_kinematics`).
 
     Example:
         >>> mechanism = td.build_mechanism(td.load_robot("linear_axis"))

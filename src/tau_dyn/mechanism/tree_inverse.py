@@ -56,8 +56,8 @@ def solve_tree_inverse(engine: TreeNewton, poses: Poses, start: np.ndarray | Non
 def find_tree_solutions(engine: TreeNewton, poses: Poses) -> InverseSolutions:
     """Return all solutions, nearest to home first: of six turning joints by elimination, else from many starts.
 
-    Starts are drawn until each solution of each pose was met ten times, or to a limit: the chance of meeting a new one is
-    about the share of those met once (Good 1953). It is no proof that none is left.
+    Starts are drawn until each solution of each pose was met ten times, or to a limit: the probability of a new one is about
+    the share of those met once (Good 1953). This does not prove that all are found.
     """
     robot, n = engine.robot, len(poses.position)
     sets: list[list[np.ndarray]] = [[] for _ in range(n)]
@@ -171,7 +171,7 @@ def _refine(engine: TreeNewton, pose: Poses, angles: np.ndarray) -> tuple[list[n
 
 
 def _index_of(robot: Robot, q: np.ndarray, known: list[np.ndarray]) -> int | None:
-    """Return which of the known solutions positions (na,) are, whole turns apart."""
+    """Return the index of the known solution that equals positions (na,) up to whole turns, or None."""
     return next((i for i, x in enumerate(known) if np.abs(_unwrapped(robot, q - x)).max() <= _EQUALITY_TOLERANCE), None)
 
 
@@ -229,7 +229,7 @@ def _fits(robot: Robot, found: InverseResult, limits: bool) -> np.ndarray:
 
 
 def _put(found: InverseResult, index: np.ndarray, tried: InverseResult, taken: np.ndarray) -> InverseResult:
-    """Return answers with those at an index replaced by what was taken of others."""
+    """Return results with those at `index` replaced by the `taken` results of `tried`."""
     both = {}
     for field in fields(found):
         old, new = getattr(found, field.name), getattr(tried, field.name)

@@ -56,9 +56,9 @@ class TreeDimensions:
     """A tree at any values of its geometric parameters.
 
     Attributes:
-        shape: The robot taken apart.
-        parameters: Those of the robot file; what does not reach the tool is not free.
-        knobs: What each parameter does.
+        shape: The robot's tree and its parameters.
+        parameters: Parameters of the robot file; those without effect on the tool are not free.
+        knobs: Effect of each parameter.
     """
 
     def __init__(self, shape: TreeShape) -> None:
@@ -131,7 +131,7 @@ class TreeDimensions:
 
 
 class TreeKinematics(Kinematics):
-    """Kinematics of one tree; see `Kinematics` for what it answers."""
+    """Kinematics of one tree; see `Kinematics` for its methods."""
 
     translates = False
 
@@ -225,7 +225,7 @@ class TreeKinematics(Kinematics):
         return J, float(np.sqrt(np.mean(levers**2))) if levers.any() else 1.0
 
     def closure(self, q: np.ndarray, poses: Poses) -> np.ndarray:
-        """Return the tool's place [m] and rotation vector [rad] beside these poses (N, 6), as the joints put it."""
+        """Return the tool's position [m] and rotation vector [rad] by the joints, relative to these poses (N, 6)."""
         q = require_positions(self.robot, q)
         here, poses = self.forward(q).poses, self.poses_at(q, poses)
         turn = measure_turns(here.rotation, poses.rotation)

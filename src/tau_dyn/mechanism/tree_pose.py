@@ -198,9 +198,9 @@ class TreeNewton:
         """Return positions (N, na), codes (N,), errors of position [m] and orientation [rad] (N, 2), the tool's rotations.
 
         Args:
-            poses: Of the tool.
+            poses: Poses of the tool.
             x: All joints' positions to start from (nv, N).
-            toward: Actuated positions (N, na) to idle towards.
+            toward: Actuated positions (N, na) that joints with idle motion approach.
         """
         sound = np.isfinite(poses.position).all(axis=1) & np.isfinite(poses.rotation).all(axis=(1, 2))
         n = len(toward)
@@ -240,9 +240,9 @@ class TreeNewton:
     def newton(
         self, poses: Poses, x: np.ndarray, toward: np.ndarray | None, rules: NewtonRules = _RULES
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return closed positions (nv, N), nan where there are none, and the tool's errors (N, 2).
+        """Return closed positions (nv, N), nan without a solution, and the tool's errors (N, 2).
 
-        Without `toward` nothing idles.
+        Without `toward` there is no idle motion.
         """
         x, error = x.copy(), np.full((x.shape[1], 2), np.nan)
 
@@ -292,7 +292,7 @@ class TreeNewton:
         return C
 
     def _fold(self, J: np.ndarray) -> np.ndarray:
-        """Return derivatives by all joints (N, m, nv) with followers added to what they follow; none of what rests."""
+        """Return derivatives by all joints (N, m, nv), with followers added to their leaders; zero for joints at rest."""
         if self._followers:
             J[:, :, self._active] += J[:, :, self._followers] @ self._share[self._followers]
             J[:, :, self._followers] = 0.0

@@ -41,7 +41,7 @@ from tau_dyn.robot import Robot, load_robot_from_urdf
 
 @dataclass(frozen=True, eq=False)
 class NaturalMode:
-    """One way a robot vibrates while its actuators stand still.
+    """A vibration mode of a robot with its actuators at rest.
 
     Attributes:
         frequency_hz: Undamped natural frequency, `|s| / 2 pi`.
@@ -62,16 +62,16 @@ class Linearised:
 
     Attributes:
         robot: The rigid robot.
-        springs: Names of the spring joints, of drives last; all matrices have the actuated joints first, then these.
+        springs: Names of the spring joints, those of drives last; all matrices have the actuated joints first, then these.
         q: Actuated positions (na,).
         deflection: The springs' deflection at rest (ns,).
         M: Mass matrix (n, n).
         D: Damping matrix (n, n).
         K: Stiffness matrix (n, n), with the weight's share.
         tool: The tool's velocity per coordinate's (3, n), in base axes.
-        pushed: The same of the point that outside forces act on (3, n).
-        tool_position: At rest (3,) [m].
-        unloaded_position: Of the tool where no spring is deflected, the drives at the same positions (3,) [m].
+        pushed: The same for the point that outside forces act on (3, n).
+        tool_position: Position of the tool at rest (3,) [m].
+        unloaded_position: Position of the tool without deflection of any spring, at the same positions of the drives (3,) [m].
     """
 
     robot: Robot
@@ -98,7 +98,7 @@ class Linearised:
         return np.sqrt(values) / (2 * np.pi)
 
     def modes(self) -> tuple[NaturalMode, ...]:
-        """Return the damped modes with the actuators held, slowest first; what is damped beyond swinging is left out."""
+        """Return the damped modes with the actuators held, slowest first; overdamped modes are left out."""
         A = self._springs_alone()
         poles, vectors = np.linalg.eig(A)
         found = []
@@ -223,12 +223,12 @@ def require_file_masses(robot: Robot) -> None:
 
 
 class FlexibleModel:
-    """A robot file's springs set free.
+    """A robot with the springs of its file as coordinates.
 
     Attributes:
         robot: The rigid robot, springs locked.
         springs: Its springs, those of its drives last; the order of all deflections.
-        freed: The same robot with its springs as coordinates beside the actuated joints.
+        freed: The same robot with its springs as coordinates in addition to the actuated joints.
         mechanism: Rigid-body dynamics in all those coordinates.
     """
 
