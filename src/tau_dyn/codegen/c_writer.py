@@ -18,7 +18,7 @@ import numpy as np
 from tau_dyn.codegen.graph import Graph, Node
 from tau_dyn.exceptions import InputError
 
-MAX_NUMBER = 1e9  # m, rad, N, N m and their rates: no machine comes near; what is larger is a fault, not a state
+MAX_NUMBER = 1e9  # m, rad, N, N m and their rates, far above any machine; a larger number is a fault, not a state
 STEP, STEPS, ITERATIONS = 0.05, 100, 12
 """Largest step of a drive at once [m or rad], most steps a call, most Newton iterations a step, where loops are solved."""
 
@@ -41,7 +41,7 @@ _MATH = frozenset(
     "round lround llround trunc fmod remainder remquo copysign nan nextafter nexttoward fdim fmax fmin fma j0 j1 jn y0 y1 "
     "yn gamma signgam fpclassify isfinite isinf isnan isnormal signbit NAN INFINITY HUGE_VAL NULL double_t float_t".split()
 )
-"""What `math.h` declares or defines; each function also with `f` and `l` behind it."""
+"""Names that `math.h` declares or defines; each function also with the suffixes `f` and `l`."""
 
 
 def fill_template(name: str, flags: Collection[str] = (), **blanks: object) -> str:

@@ -128,7 +128,7 @@ class LibraryCache:
             (Path(folder) / "plant.so").write_bytes(content)
             return _load(Path(folder) / "plant.so")
         finally:
-            shutil.rmtree(folder, ignore_errors=True)  # what is loaded stays in memory
+            shutil.rmtree(folder, ignore_errors=True)  # a loaded library stays in memory
 
 
 def _hash(source: str, compiler: str) -> str:

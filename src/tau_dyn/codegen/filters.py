@@ -26,7 +26,7 @@ from tau_dyn.codegen.c_writer import (
 from tau_dyn.exceptions import InputError
 from tau_dyn.version import __version__
 
-_MEMORY = 100_000  # samples after which nothing is left of an impulse: poles up to 1 - 3e-4
+_MEMORY = 100_000  # samples after which an impulse has decayed: poles up to 1 - 3e-4
 
 
 class FilterLaw(Protocol):

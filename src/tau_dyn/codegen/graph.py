@@ -36,7 +36,7 @@ MEANING: dict[str, Callable[..., Any]] = {
     "min": min, "max": max, "select": _select, "lt": operator.lt, "le": operator.le, "eq": operator.eq,
     "and": lambda x, y: bool(x) and bool(y), "or": lambda x, y: bool(x) or bool(y), "not": operator.not_,
 }  # fmt: skip
-"""What each operation is, on plain numbers."""
+"""Implementation of each operation on plain numbers."""
 
 _COMMUTES = frozenset({"add", "mul", "min", "max", "eq", "and", "or", "hypot"})
 
@@ -271,4 +271,4 @@ NUMPY: dict[str, Callable[..., Any]] = {
     "lt": np.less, "le": np.less_equal, "eq": np.equal, "and": np.logical_and, "or": np.logical_or,
     "not": np.logical_not,
 }  # fmt: skip
-"""What each operation is, on arrays."""
+"""Implementation of each operation on arrays."""

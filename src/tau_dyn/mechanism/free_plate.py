@@ -25,9 +25,9 @@ _CELL = 0.03  # of the mean rod's length for slides; half as much again in rad f
 _FROZEN = 1e-5  # after a step this small (relative to the rods) one with the same factors is the last
 _MAX_ITERATIONS = 8  # Newton steps from a neighbour's pose; quadratic convergence needs three to five
 _MAX_CELLS_FROM_HOME = 1000  # cells from home beyond which positions are taken for a mistake of units
-_TOLERANCE = 1e-9  # [m] what the last step may be; of the rods' length where that is above one metre
+_TOLERANCE = 1e-9  # [m] largest last step; relative to the rods' length if that is above one metre
 _SINGULAR = 1e-7  # of home's determinant
-_ASTRAY = 0.2  # relative to the rods: what Newton may move a plate away from where its cell puts it
+_ASTRAY = 0.2  # relative to the rods: largest motion of a plate by Newton from the pose that its cell gives
 
 
 class Solved(NamedTuple):

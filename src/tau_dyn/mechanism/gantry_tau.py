@@ -215,9 +215,9 @@ class GantryTauMechanism(Mechanism):
     def guide_force(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         r"""Return the force of each rod across its guideway (N, 3, 3) [N]; see `Mechanism.guide_force`.
 
-        With `lambda_i` the force along rod i per unit of its length, the tool's balance is `D' lambda = f`, `f` being the force
-        that accelerates and carries the plate and the rods' tool ends; a cart holds its rod with `m (alpha A'' + beta T'' - (1
-        - c) g) + lambda d`, and feels the opposite.
+        With `lambda_i` the force along rod i per unit of its length, the tool's balance is `D' lambda = f`. Here `f` is the
+        force that accelerates and carries the plate and the rods' tool ends. A cart holds its rod with
+        `m (alpha A'' + beta T'' - (1 - c) g) + lambda d`, and feels the opposite.
         """
         q, v, a = self._checked(q, v, a)
         k = self._kinematics(q, v, a)

@@ -45,7 +45,7 @@ from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
 
 _NAMES = ("x", "y", "z", "rx", "ry", "rz")
-_RANK = 1e-6  # singular values relative to the largest; less moves nothing
+_RANK = 1e-6  # singular values relative to the largest; smaller ones count as no motion
 _REACHES = 0.3  # share of a position that a space of twists must hold for it to be commanded before any rotation
 
 

@@ -36,7 +36,7 @@ from tau_dyn.mechanism.small_systems import ILL, CellStarts, Elimination, Entrie
 from tau_dyn.robot import Robot
 
 _CELL = 0.05  # [m or rad] as far as one-by-one closures step
-_DONE = 1e-6  # [m or rad] Newton's last step may be this large; what is left after it is of the order of its square
+_DONE = 1e-6  # [m or rad] largest last step of Newton's method; the remaining error is of the order of its square
 _MAX_ITERATIONS = 12  # Newton steps from a neighbour's pose; quadratic convergence needs three to five
 _MAX_CELLS_FROM_HOME = 2000  # cells from home beyond which positions are taken for a mistake of units
 _MAX_GEOMETRIES = 4  # whose cells are kept
@@ -268,7 +268,7 @@ class LoopArrays:
         return [transform_point(at, a.joint, a.local) for a, _ in self._ends]
 
     def carried_force(self, forces: np.ndarray, joint: int) -> np.ndarray:
-        """Return the force (3, ...) on the bodies that joint `index` carries, from the loops' forces (3 * loops, ...)."""
+        """Return the force (3, ...) on the bodies that joint number `joint` carries, from the loops' forces (3 * loops, ...)."""
         total = np.zeros_like(forces, shape=(3, *forces.shape[1:]))
         for force, (a, b) in zip(np.split(forces, len(self._ends)), self._ends, strict=True):
             total = total + force * float((joint in a.carriers) - (joint in b.carriers))

@@ -1,8 +1,8 @@
 """The closed loops solved one sample at a time, and the passive bearings in them; all in world axes, all loops at once.
 
 A loop k requires that two points of the tree coincide, `c_k(q) = p_A(q) - p_B(q) = 0`. Pinocchio gives each joint's column of
-the tree's Jacobian as the motion `(v_o, w)` seen at the world's origin, so a point moves with `v_o + w x p`. With `J_c =
-dc/dv_tree`, split into actuated and passive columns,
+the tree's Jacobian as the motion `(v_o, w)` seen at the world's origin, so a point moves with `v_o + w x p`. With
+`J_c = dc/dv_tree`, split into actuated and passive columns,
 
     v_tree = G v_a,   G = [1; -J_p^+ J_a] S,   a_tree = G a_a + g_0,   g_0 = [0; -J_p^+ gamma],
 
@@ -80,14 +80,14 @@ class Constraints:
 
 
 _TOLERANCE = 1e-14  # [m] a step is the last one when it should leave no more than this
-_ROUNDED = 1e-10  # [m] what rounding may leave in a large robot
+_ROUNDED = 1e-10  # [m] error by rounding in a large robot
 _STEP = 0.05  # [m or rad] largest actuated step taken at once when coming from afar
 MAX_CORRECTION = 0.5  # of a step along `G`; near a dead centre the other assembly mode is as far away as the step
 _LONG = 0.5  # [m or rad] step of a joint along `G` that is halved
 _SHORT = 0.02  # [m or rad] the same for an older `G`, as samples in turn have
 _SLIGHT = 0.1  # of such a step, its largest correction
 _HALVINGS = 40  # of a step whose correction is larger, before the position counts as out of reach
-_UNSOLVED = 8  # halvings for which a step without any closure counts: mostly there is none
+_UNSOLVED = 8  # halvings for which a step without any closure counts: mostly there is no closure
 
 
 @dataclass

@@ -43,8 +43,8 @@ _MISSED = 1e-7  # [m] by how much a position that is asked for may be missed
 _RULES = NewtonRules(60, 5, 0.3, _CLOSED, 1e-7)  # steps of the rods' length or rad, damped far from the solution
 _WAY = 0.15  # steps on the way from home, of the rods' length or rad
 _STEPS = 40  # at most on that way
-_ROUGH = 1e-3  # of the rods' length: what may stay open on the way
-_DAMPING = 1e-6  # what an actuator's motion costs beside a turn of the tool
+_ROUGH = 1e-3  # relative to the rods' length: gap that may stay open on the way
+_DAMPING = 1e-6  # cost of an actuator's motion relative to a rotation of the tool
 _SOFT = 1e-7  # relative damping of the least-squares step, so that a singular one stays bounded
 _RANK = 1e-9  # singular values relative to the matrix; less counts as zero
 

@@ -253,7 +253,7 @@ class Mechanism(ABC):
         """Return the load of each actuated joint's guide (N, na), at the parameters' values.
 
         Prismatic: the size of `guide_force` [N]. Revolute: the size of the rigid-body torque [N m] that the reducer transmits;
-            the torque that accelerates the drive's own inertia does not pass it.
+        the torque that accelerates the drive's own inertia does not pass it.
         """
 
     def reducer_torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:

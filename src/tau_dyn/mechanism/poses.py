@@ -16,7 +16,7 @@ from tau_dyn.robot import Robot
 
 _ROTATION = 1e-6  # largest departure of R'R from identity; numbers written with seven digits pass
 _GIANT = 1e100
-"""What `R'R` may differ from one, entry by entry, in a rotation that a user gives."""
+"""Largest difference of `R'R` from one, entry by entry, in a rotation that a user gives."""
 
 
 class Poses(NamedTuple):
@@ -162,9 +162,10 @@ REASONS = np.array(
 )  # fmt: skip
 """Reasons by code.
 
-`out of reach`: no pose or no positions close the loops. `singular`: they do, but the mechanism has lost or won a freedom there.
-`branch change`: what was found lies beyond a singularity, in another assembly mode than home's or the start's. `no convergence`:
-Newton's steps did not come to rest; a solution may exist. `joint limit`: positions exist outside the file's limits.
+`out of reach`: no pose or no positions close the loops. `singular`: they do, but the mechanism has lost or gained a degree of
+freedom there. `branch change`: the solution is beyond a singularity, in another assembly mode than home's or the start's.
+`no convergence`: Newton's method did not converge; a solution may exist. `joint limit`: positions exist outside the file's
+limits.
 """
 
 

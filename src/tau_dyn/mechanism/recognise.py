@@ -207,7 +207,7 @@ class _Tree:
         for end in ends:
             joints = self._between(end, -1)
             if joints[-1] in self.actuated or (end == plate and len(joints) > 1):
-                return None  # it is not said how long the rod is, or how the tool turns
+                return None  # the length of the rod, or the rotation of the tool, is not determined
             own = self._rows(self._name(end), joints, 0, (int(self.model.parents[joints[0]]), None), (plate, tip))
             if len(own) + len(rods) > 3 and len(own) == 2:  # the tool stays in the first rod's plane
                 both = np.array([rod.base for rod in own])

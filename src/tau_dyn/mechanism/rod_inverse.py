@@ -23,7 +23,7 @@ from tau_dyn.mechanism.poses import (
     measure_turns,
 )
 
-_AGREE = 1e-9  # [m] what a rod may lack when its chain was solved by another one
+_AGREE = 1e-9  # [m] largest gap of a rod when its chain was solved by another one
 _WAY = 0.1  # steps from home for chains of several actuators, of the rods' length or rad
 
 

@@ -9,12 +9,13 @@ Joint 6 leaves its own axis in place: a point `p` on it and its direction `l` gi
     p,   l,   p x l,   (p . p) l - 2 (p . l) p,   p . p,   p . l
 
 whose right sides are linear in eight products of sines and cosines of `q_1`, `q_2`. The orthogonal complement of those leaves
-six equations in the nine products of `q_4`, `q_5`, linear in the sine and cosine of `q_3`. Here all are written in `w = exp(i
-q)`: real angles lie on the unit circle, `q = pi` is a regular point, and the factor `(1 + x^2)^4` of the half-angle form has
-its roots at 0 and infinity. The equations and those times `w_4` are a matrix polynomial of 12 rows, `(A w^2 + B w + C) m = 0`,
-with 24 eigenvalues (Manocha & Canny 1994). Where it is regular, every solution is among them; the rest is bookkeeping: each
-eigenvalue that may lie on the circle must give its solutions or be shown to have no solution. Any joint may be taken as the
-third: the loop has no first joint, and where special axes make one polynomial singular another is regular.
+six equations in the nine products of `q_4`, `q_5`, linear in the sine and cosine of `q_3`. Here all are written in
+`w = exp(i q)`: real angles lie on the unit circle, `q = pi` needs no special case, and the factor `(1 + x^2)^4` of the
+half-angle form has its roots at 0 and infinity. The equations and those times `w_4` are a matrix polynomial of 12 rows,
+`(A w^2 + B w + C) m = 0`, with 24 eigenvalues (Manocha & Canny 1994). Where it is regular, every solution is among them; the
+rest is bookkeeping: each eigenvalue that may lie on the circle must give its solutions or be shown to have no solution. Any
+joint may be taken as the third: the loop has no first joint, and where special axes make one polynomial singular another is
+regular.
 """
 
 from __future__ import annotations
@@ -28,16 +29,16 @@ _ANGLES = 2 * np.pi / 3 * np.arange(3)  # [rad] where functions of harmonics -1,
 _ORDER = [2, 0, 1]  # of the discrete Fourier transform, so that harmonics run from -1 to 1
 _RANK = 1e-7  # singular values below this, relative to the largest, are those of axes that are special up to a file's digits
 _REGULAR = 1e6  # smallest singular value at a random w by the coefficients' error; less is singular
-_NULL, _NOT_NULL = 1e-7, 1e-5  # singular values, relative to the largest, of solutions and of none; between: doubt
+_NULL, _NOT_NULL = 1e-7, 1e-5  # relative singular values: below, a solution; above, no solution; between, doubt
 _EXACT = 1e-12  # error of the coefficients up to which eigenvalues prove anything
-_SHARP = 1e4  # times the coefficients' error: what lets products be told from noise to 1e-4
-_BAND = 1e-4  # of log |w|: what is nearer to the circle must be explained; rounding moves simple roots by 1e-10
+_SHARP = 1e4  # times the coefficients' error: separates products from noise to 1e-4
+_BAND = 1e-4  # of log |w|: eigenvalues nearer to the circle must be explained; rounding moves simple roots by 1e-10
 _TOGETHER = 1e-6  # eigenvalues nearer to each other are looked at together
 _ROUNDING = 1e-13  # of the polynomial relative to its size, from which an eigenvalue's error follows
-_SPREAD = 1e8  # condition number above which directions of a null space are not told apart
+_SPREAD = 1e8  # condition number above which directions of a null space cannot be separated
 _PRODUCT_TOLERANCE = 1e-5  # relative error by which products of a null space may miss being such
 _POINT = 1e-9  # [m] lengths of an arm whose axes all meet
-_OPEN = 1e-2  # of a loop relative to the arm's size: what candidates of real solutions do not leave open
+_OPEN = 1e-2  # of a loop relative to the arm's size: larger gaps exclude candidates of real solutions
 _ONE_EQUATION = 1e-4  # singular value relative to the largest; less, and an equation's rounding is too much to use it
 _ON_AXIS = [2, 5, 8, 11, 12, 13]  # of the 14 numbers, those that a turn about z leaves
 
@@ -198,7 +199,7 @@ def _solve_products(P: np.ndarray, multiplicity: int, error: float) -> tuple[lis
     if n == 0:
         return [], doubt
     N = vh[-n:].conj().T.reshape(4, 3, n)
-    a, b, c, d, mix = np.exp(1j * np.array([0.4, 2.9, 1.3, 5.2, 0.9]))  # no solution lies at 0 of c w + d
+    a, b, c, d, mix = np.exp(1j * np.array([0.4, 2.9, 1.3, 5.2, 0.9]))  # no solution is at the root of c w + d
     whole = np.zeros((n, n), complex)
     for low, high, share in ((N[:-1], N[1:], 1.0), (N[:, :-1], N[:, 1:], mix)):
         over, under = (a * high + b * low).reshape(-1, n), (0.7 * c * high + d * low).reshape(-1, n)
@@ -247,7 +248,7 @@ def _complete(G: np.ndarray, q345: np.ndarray) -> tuple[list[np.ndarray], str]:
     for cosine, sine in seconds:
         q2 = np.arctan2(sine, cosine)
         here, there = G[1] @ _turn(q2) @ tail, np.linalg.inv(G[0])
-        # R_1 here R_6 = there: joint 1 from directions and points of joint 6's axis, joint 6 from what is left
+        # R_1 here R_6 = there: joint 1 from directions and points of joint 6's axis, joint 6 from the remaining rotation
         a, b = (_plane(X) for X in (here, there))
         q1 = np.angle(np.vdot(a, b))
         last = (_turn(q1) @ here)[:3, :3].T @ there[:3, :3]

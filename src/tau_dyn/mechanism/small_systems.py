@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 ILL = 1e8
 """Conditioning above which an inverse comes from singular values."""
 _ROUNDING = 1e-10
-"""Singular values and columns smaller than this beside the largest are rounding."""
+"""Singular values and columns smaller than this, relative to the largest, are rounding."""
 
 
 def invert_matrix(J: np.ndarray) -> np.ndarray:
@@ -342,10 +342,10 @@ def iterate_newton(
 _KEPT = 200_000  # cells kept at most
 
 Learn = Callable[[np.ndarray], Iterable[tuple[np.ndarray, ...]]]
-"""From cells' numbers (n, na) to what is kept of each."""
+"""Computes the stored results of cells from their numbers (n, na)."""
 
 Known = dict[tuple[int, ...], tuple[np.ndarray, ...]]
-"""Cells' numbers -> what is kept of each."""
+"""Cells' numbers -> stored results of each."""
 
 
 class CellStarts:

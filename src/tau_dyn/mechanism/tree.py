@@ -197,7 +197,7 @@ class SamplewiseTree(Mechanism):
         return np.linalg.lstsq(jacobian.T, tau[passive], rcond=1e-10)[0].reshape(-1, 3)
 
     def _across(self, i: int, pulls: np.ndarray) -> np.ndarray:
-        """Return the force (3,) across a slide's axis from beyond its own link, after `rnea`, with the loops' forces (loops, 3)."""
+        """Return the force (3,) across a slide's axis from beyond its own link, after `rnea`, with loop forces (loops, 3)."""
         model, data, joint = self.model, self.data, self.model.getJointId(self.robot.actuated[i])
         beyond = self._carried_by()[1][i] @ pulls
         for child in (c for c in range(1, model.njoints) if model.parents[c] == joint):

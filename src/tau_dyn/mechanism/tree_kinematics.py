@@ -47,7 +47,7 @@ from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import Robot
 
 _ROUNDING = 1e-10
-"""[m or rad, per m or rad] what is left of a column that is zero."""
+"""[m or rad, per m or rad] rounding in a column that is zero."""
 _UNSEEN = 1e-7
 """Size of a column relative to the largest of its unit below which a parameter does not reach the tool."""
 

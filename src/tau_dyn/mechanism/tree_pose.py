@@ -157,13 +157,13 @@ class TreePose:
 
 _NEWTON_BLOCK = 512  # samples at a time; arrays stay in the processor's cache
 _RULES = NewtonRules(60, 6, 0.4, 1e-10, 1e-6)  # steps of a joint [m or rad], damped far from the solution
-_ROUGH = 1e-2  # [m] what may stay open on a way
+_ROUGH = 1e-2  # [m] gap that may stay open on a way
 _STEPS = 12  # on the way from home
-_DAMPING = 1e-4  # most that a joint's motion costs beside a turn of the tool
+_DAMPING = 1e-4  # largest cost of a joint's motion relative to a rotation of the tool
 _LEAST = 1e-10  # of the same, so that idle motions stay defined
-_SOFT = 1e-6  # its square times what the orientation pulls with is what the closure is off by
+_SOFT = 1e-6  # its square times the pull of the orientation is the error of the closure
 _IDLE = 1e-7  # singular values relative to the largest; less moves no joint
-_NEARBY = 0.05  # [m or rad] from home, where what idles is looked for
+_NEARBY = 0.05  # [m or rad] from home, where idle motions are searched
 
 
 class TreeNewton:
@@ -178,7 +178,7 @@ class TreeNewton:
         self._rests = np.zeros(0, int) if self.robot.loops else self.robot.passive_v
         self._followers = [model.joints[model.getJointId(j)].idx_v for j in self.robot.mimics]
         self.home = self.close_loops(self.robot.home[None])
-        # home may be singular (a straight wrist), which idles nothing elsewhere: the smallest null space near by counts
+        # home may be singular (a straight wrist) without idle motion elsewhere: the smallest null space near it counts
         near = np.random.default_rng(0).uniform(-_NEARBY, _NEARBY, (6, self.robot.na))
         x = self.close_loops(np.vstack([self.robot.home, self.robot.home + near]))
         at = compute_frames(engine.joints, x[:, np.isfinite(x).all(axis=0)])

@@ -48,7 +48,7 @@ from tau_dyn.simulate.sensors import EncoderErrors
 
 MIN_SAMPLES, MIN_SAMPLES_PER_DRIVE, MIN_SAMPLES_PER_PASSIVE_JOINT = 1000, 500, 150
 """Shorter runs are over before a library is built (`experiments/benchmarks/compiled_plant.py`, friction: 1700 samples of EMPS,
-2000 of L1, 4400 of a UR5, 5400 of a complete Gantry-Tau). What is kept from earlier runs makes no difference: the same call takes
+2000 of L1, 4400 of a UR5, 5400 of a complete Gantry-Tau). Libraries from earlier runs do not change this: the same call takes
 the same path each time, since the paths differ by rounding."""
 AGREEMENT = 1e-9
 """How far equations and simulator may differ at random states, relative to the largest value."""
@@ -86,7 +86,7 @@ def _trace_model(
     try:
         equations = build_equations(model, encoders=shown, campaign=campaign)
         return equations, write_plant_source(equations)
-    except InputError:  # it uses what expressions do not have: Python simulates it
+    except InputError:  # it uses an operation that expressions do not have: Python simulates it
         return None
     except Exception:
         if all(type(effect).__module__.startswith("tau_dyn.") for effect in (*model.effects, *shown)):

@@ -16,9 +16,9 @@ from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.model import Model
 from tau_dyn.simulate.trajectory import Trajectory
 
-CHECKED_SAMPLES = 400  # samples checked, spread over the motion, beside its peaks
+CHECKED_SAMPLES = 400  # samples checked, spread over the motion, in addition to its peaks
 _MAX_SLOWING = 10.0
-"""Times slower that a motion is tried; what it then exceeds are ranges and weights."""
+"""Largest factor by which a motion is slowed; the limits that it still exceeds are ranges and weights."""
 _SLACK = 1e-9  # relative; values that equal a limit but for rounding are within it
 
 

@@ -37,7 +37,7 @@ from tau_dyn.simulate.sensors import EncoderErrors, record_run
 from tau_dyn.simulate.trajectory import Trajectory
 
 SIGNALS = ("position", "speed", "acceleration", "force", "following")
-"""What is compared; `following` is the reference minus the position."""
+"""Signals that are compared; `following` is the reference minus the position."""
 
 
 @dataclass(frozen=True, eq=False)

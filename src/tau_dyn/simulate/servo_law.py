@@ -9,8 +9,8 @@ The profile moves the goal with at most `speed_limit` and `acceleration_limit`, 
 `steps_pass: 1` it acts on streamed goals only: commands that change within a tenth of a second of their last change, no faster
 than 5 rad/s. A step then is the goal at once.
 
-A cascade has an inner speed loop: with a `speed_gain`, the first line of u is a wanted speed w, at most `speed_limit`, and `u =
-speed_gain (w - v) + speed_integral_gain int (w - v) dt`. `command` gives the kind of the commands: `position` (the default),
+A cascade has an inner speed loop: with a `speed_gain`, the first line of u is a wanted speed w, at most `speed_limit`, and
+`u = speed_gain (w - v) + speed_integral_gain int (w - v) dt`. `command` gives the kind of the commands: `position` (the default),
 `speed` (commands are w), `current` (commands are u [A], force_per_unit is the torque of one ampere) or `pwm` (commands are u).
 
 The output takes `torque_delay` to become torque. A delay of the position that the law uses is a `torque_delay` and a
@@ -97,14 +97,14 @@ SERVO_ENTRIES = {
 
 REQUIRED = ("position_gain", "force_per_unit")
 COMMANDS = ("position", "speed", "current", "pwm")
-"""What commands may be; the first is the default."""
+"""Kinds of commands; the first is the default."""
 _NEEDED = {"position": REQUIRED, "speed": ("speed_gain", "force_per_unit")}
 _OUTER = ("position_gain", "integral_gain", "derivative_gain", "dead_band")
 _UNUSED = {"position": (), "speed": (*_OUTER, "acceleration_limit", "steps_pass"), "current": (*_OUTER, "speed_gain",
            "speed_integral_gain", "speed_limit", "acceleration_limit", "steps_pass", "back_emf", "supply_sag")}  # fmt: skip
 _UNUSED["pwm"] = tuple(x for x in _UNUSED["current"] if x not in ("back_emf", "supply_sag"))
 SIDES = ("link", "motor")
-"""Where an encoder sits; the first is the default, as of hobby servos, whose potentiometer or magnet is on the output."""
+"""Side of an encoder; the first is the default, as on hobby servos, whose potentiometer or magnet is on the output."""
 _OTHER_KEYS = ("law", "logs", "enabled", "supply", "encoder", "measured", "command")
 _MAY_BE_INFINITE = ("limit", "speed_limit", "acceleration_limit")
 _DELAYS = ("command_delay", "torque_delay")

@@ -315,7 +315,7 @@ class FlexibleModel:
         k = self._stiffness[na:]
         for _ in range(100 if sag else 0):
             slack = (self._bias(z)[na:] + k * z[na:]) / k
-            if not np.abs(slack).max() < 0.2:  # [m or rad] also stops what runs away
+            if not np.abs(slack).max() < 0.2:  # [m or rad] also stops a diverging iteration
                 break
             z[na:] -= slack
             if np.abs(slack).max() < 1e-11:

@@ -177,7 +177,7 @@ def _pushed(
     origin = at.origin[joint.index]
     if knob.kind == "origin":
         return _vector(at, joint.parent, knob.direction), None, origin
-    if joint.slides:  # the frame's origin slid away from where the joint sits
+    if joint.slides:  # the frame's origin has moved away from the joint's placement
         origin = origin - at.axis[joint.index] * x[joint.v]
     turn = _vector(at, joint.parent, joint.rotation @ numbers.turned[knob.at] @ knob.direction)
     return None, turn, origin
@@ -201,9 +201,9 @@ _MAX_ITERATIONS = 40  # Newton steps to closed loops
 _DONE = 1e-12  # [m or rad] Newton's last step
 _STEP = 0.3  # [m or rad] longest step at once
 _MAX_PASSIVE_MOTION = 0.8
-"""[m or rad] what passive joints may move away from the nominal closure; more is another assembly mode."""
+"""[m or rad] largest motion of passive joints from the nominal closure; more is another assembly mode."""
 _SINGULAR = 1e-7  # smallest kept singular value relative to the largest, columns scaled to unit length at home
-_OPEN = 1e-8  # [m] what a loop that can close may leave
+_OPEN = 1e-8  # [m] largest remaining gap of a loop that can close
 
 
 @dataclass(frozen=True, eq=False)

@@ -244,9 +244,9 @@ def _parent(joint: Element) -> str:
 
 _ALIGNED = 1 - 1e-9  # cosine from which two directions are one
 PRIORITY = {"length": 0, "offset": 0, "origin": 1, "rotation": 1, "anchor": 1, "gain": 2, "tool": 3}
-"""Of parameters that depend on each other, kinds with smaller numbers are kept; among equals those that poses show best.
-Placements are equals: an order among them would keep combinations that are told apart only by how far the axes of this
-one machine are from parallel."""
+"""Among parameters that depend on each other, kinds with smaller numbers are kept; in one kind those that poses determine best.
+Placements are equal: an order among them would keep combinations that are distinguished only by the deviation of this machine's
+axes from parallel."""
 
 
 class TreeParameter(NamedTuple):
