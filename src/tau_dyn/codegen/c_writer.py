@@ -1,4 +1,4 @@
-"""C99 from expression graphs: a line a node, in the order of computation; and what every exported C file shares.
+"""C99 from expression graphs: one line for each node, in the order of computation; and the parts common to all exported C files.
 
 A file is fixed texts of the folder `c`, their `@BLANKS@` filled, and functions written from graphs. It has no allocation,
 no recursion and no header beyond `math.h`. Every exported function refuses inputs and outputs that are not finite or beyond
@@ -77,7 +77,7 @@ def yield_graph_lines(graph: Graph, outputs: Sequence[Any]) -> Iterator[str]:
 
 
 def yield_guard_lines(graph: Graph, status: int = 1) -> Iterator[str]:
-    """Yield one line a condition that was asked for while tracing: where the answer is another one, the function leaves."""
+    """Yield one line for each condition evaluated during tracing: if its result differs, the function returns."""
     for index, answer in graph.guards.items():
         yield f"    if ({'!' if answer else ''}t{index}) return {status};"
 
@@ -207,7 +207,7 @@ def format_source(name: str, first: str, parts: Iterable[str]) -> str:
 
 
 def locate_header(source: Path) -> Path:
-    """Return where the header of a source file goes.
+    """Return the path of a source file's header.
 
     Raises:
         InputError: A folder is there, or C could not include a file of that name.

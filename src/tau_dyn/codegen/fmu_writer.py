@@ -2,11 +2,11 @@
 
 The source: the model's equations as functions, the simulator's step (`c/plant.c`: leapfrog with sharp friction, as
 `simulate/plant.py` has it, so that with equal steps the trajectory is the simulator's but for rounding),
-the functions of FMI (`c/fmu_interface.c`). A step that cannot be made leaves the state alone, is logged, and is an error. An
+the functions of FMI (`c/fmu_interface.c`). A step that fails leaves the state unchanged, is logged, and is an error. An
 instance is one block of memory, so its state is stored and restored as bytes.
 
-Variables are named as a log's columns: `tau_J` goes in, `q_J`, `v_J`, `x_tool` and so on come out; `q0_J` and `v0_J` are where it
-starts; parameters keep their names. Reference: FMI for Model Exchange and Co-Simulation 2.0.4, 2.2.
+Variables are named as a log's columns: `tau_J` is an input, `q_J`, `v_J`, `x_tool` and so on are outputs; `q0_J` and `v0_J` are
+the initial state; parameters keep their names. Reference: FMI for Model Exchange and Co-Simulation 2.0.4, 2.2.
 """
 
 from __future__ import annotations
@@ -206,7 +206,7 @@ def _write(parent: Element, reference: int, variable: Variable) -> None:
 
 
 def _structure(root: Element, variables: tuple[Variable, ...]) -> None:
-    """Say what outputs depend on: on no input of the same instant, at the start on where it starts."""
+    """Declare the dependencies of outputs: on no input of the same instant, at the start on the initial state."""
     structure = SubElement(root, "ModelStructure")
     outputs = [k for k, v in enumerate(variables, start=1) if v.causality == "output"]
     at = {v.name: k for k, v in enumerate(variables, start=1)}

@@ -94,12 +94,12 @@ class TreeForm(Mechanism):
         return arrays
 
     def place(self, q: Any) -> list[Any]:
-        """Return one position a joint of the tree, of one a drive (na,)."""
+        """Return the position of each joint of the tree from those of the drives (na,)."""
         offset = self.robot.coupling[1]
         return [x + float(c) if c else x for x, c in zip(self._spread(q), offset, strict=True)]
 
     def _spread(self, v: Any) -> list[Any]:
-        """Return one speed or acceleration a joint, of one a drive (na,): what follows moves by its share, the rest rests."""
+        """Return the speed or acceleration of each joint from the drives' (na,): followers in proportion, others zero."""
         out = []
         for row in self.robot.coupling[0]:
             driving = np.flatnonzero(row)

@@ -42,11 +42,11 @@ _COMMUTES = frozenset({"add", "mul", "min", "max", "eq", "and", "or", "hypot"})
 
 
 class Graph:
-    """All nodes of one computation, each after those it needs.
+    """All nodes of one computation, each after its arguments.
 
     Attributes:
         nodes: The nodes.
-        guards: Conditions that were asked for, with the answer at the reference state.
+        guards: Conditions evaluated during tracing, with their result at the reference state.
     """
 
     def __init__(self) -> None:
@@ -91,7 +91,7 @@ class Graph:
         return [self._node("item", (x.index, k), float(value[k])) for k in range(len(flat))]
 
     def answer(self, node: Node) -> bool:
-        """Return whether a condition holds at the reference state, and remember that it was asked for."""
+        """Return whether a condition holds at the reference state, and add it to the guards."""
         self.guards[node.index] = bool(node.value)
         return bool(node.value)
 

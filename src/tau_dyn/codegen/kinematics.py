@@ -136,7 +136,7 @@ class KinematicsProgram:
         freedoms: Degrees of freedom of `z`: 6 for a plate, else the number of passive joints that are solved for.
         rank: Number of degrees of freedom that the drives give the tool, 6 at most.
         idle: Whether drives can move without the tool.
-        no_inverse: Why there is no inverse kinematics, '' where there is.
+        no_inverse: Reason for missing inverse kinematics, '' if it exists.
         difference: Largest difference from Python over random states [m, 1, or rad].
     """
 

@@ -50,7 +50,7 @@ def write_kinematics_source(program: KinematicsProgram, name: str = "robot") -> 
 
     Args:
         program: From `build_kinematics`.
-        name: With which all functions begin; also of the header, `name.h`.
+        name: Prefix of all functions, and name of the header, `name.h`.
 
     Raises:
         InputError: The name is no identifier of C.

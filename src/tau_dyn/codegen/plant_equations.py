@@ -48,15 +48,15 @@ class Equations:
     Attributes:
         model: The model, with the effects that are in the equations.
         dynamics: `M` (na * na,) and `h` (na,).
-        friction: `lower` and `upper` (na,); None where there are no effects.
-        mass: `added` (na * na,) to the mass matrix; None where no effect feels accelerations.
-        memory: `next`, the memory after the joints moved by `d` (na,); None where no effect remembers.
-        tool: `x` (3,), the tool's position [m]; None where the robot file has no tool.
-        encoders: `shown` (na,), what encoders read of true positions; None where they read these.
+        friction: `lower` and `upper` (na,); None without effects.
+        mass: `added` (na * na,) to the mass matrix; None if no effect depends on accelerations.
+        memory: `next`, the internal state after the joints moved by `d` (na,); None if no effect has one.
+        tool: `x` (3,), the tool's position [m]; None if the robot file has no tool.
+        encoders: `shown` (na,), the encoders' readings of true positions; None if they read the true positions.
         encoder_memory: As `memory`, of the encoders.
         loops: The loops that are solved numerically before each part, or None.
         closure: With loops, `gap` and `J`.
-        parameters: Places in `model.parameters` of those that matter.
+        parameters: Indices in `model.parameters` of those that the equations use.
         warm: The effects that follow a temperature, in the order of the numbers given from outside.
     """
 
@@ -82,7 +82,7 @@ def build_equations(
     Args:
         model: The model.
         encoders: The effects that the encoders' readings show.
-        campaign: Number of the recording, where effects ask for it.
+        campaign: Number of the recording, for effects that need it.
 
     Raises:
         InputError: Something of the model cannot be written as expressions of a state.
@@ -174,7 +174,7 @@ class _Inputs(TracingInputs):
         return as_expression_array([self.value(name) for name in effect.parameters.names])
 
     def ask(self, effect: Effect, a: Any, sign: float, force: Any = None) -> Any:
-        """Return an effect's force (na,) at accelerations (1, na), and for effects that feel it at a force (na,)."""
+        """Return an effect's force (na,) at accelerations (1, na), and at a force (na,) for effects that depend on it."""
         robot = self.model.robot
         felt = [] if isinstance(effect, Bristle) else [n for n in effect.needs if n in COMPUTED]
         signals = {n: COMPUTED[n](self.form, self.q, self.v, a) for n in felt}
@@ -224,7 +224,7 @@ def trace_effect_bounds(model: Model, loops: Loops | None) -> TracedFunction:
     """Return the effects' forces at both signs with the parameters' values in them: `lower` and `upper` (na,).
 
     Raises:
-        InputError: An effect remembers, or adds to the mass matrix.
+        InputError: An effect has an internal state, or adds to the mass matrix.
         TypeError: An effect cannot be written as expressions of a state.
     """
     effects = [effect for effect in model.effects if not acts_on_recording(effect)]
@@ -276,12 +276,12 @@ def _trace_added_mass(given: _Inputs, effects: Sequence[Effect]) -> TracedFuncti
 
 
 def _split_scaled(effects: Sequence[Effect]) -> tuple[list[Effect], list[Effect]]:
-    """Return the effects that feel no force, and those that do."""
+    """Return the effects that do not depend on a force, and those that do."""
     return [e for e in effects if "force" not in e.needs], [e for e in effects if "force" in e.needs]
 
 
 def _trace_encoders(given: _Inputs, effects: Sequence[DisplacementEffect]) -> TracedFunction:
-    """Return what encoders read of true positions; see `simulate/sensors.py`."""
+    """Return the encoders' readings of true positions; see `simulate/sensors.py`."""
     rest = as_expression_array(np.zeros((1, given.model.robot.na)))
     shown, heading = given.q[0], given.remembered.heading(given.beside)
     for effect in effects:

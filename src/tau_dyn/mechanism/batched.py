@@ -56,7 +56,7 @@ class BodyMotion(NamedTuple):
     spinning_up: Vector
 
     def power(self, force: Vector, moment: Vector) -> np.ndarray:
-        """Return the actuated forces (n, N) that a force and a moment (3, N) at the body ask for."""
+        """Return the actuated forces (n, N) that a force and a moment (3, N) at the body require."""
         out = None
         for partial, acting in ((self.linear, force), (self.angular, moment)):
             if partial is not None and acting is not None:
@@ -200,7 +200,7 @@ class BatchedTree:
         return M.transpose(2, 0, 1)
 
     def weight_arms(self, q: np.ndarray) -> WeightArms:
-        """Return first moments of all bodies and how they move (N); gravity alone feels some masses, which count."""
+        """Return first moments of all bodies and their motion (N); masses that only gravity acts on are included."""
         places = np.zeros((len(self._links), 3, len(q)))
         rates = np.zeros((self.robot.na, len(self._links), 3, len(q)))
         for part in iterate_blocks(len(q)):

@@ -242,7 +242,7 @@ class Kinematics(ABC):
         """Return all positions that put the tool at poses, whatever their limits, and whether they are proved to be all.
 
         Legs in closed form: rows as `configurations`. Six turning joints in a chain: all, by elimination, nearest to home first.
-        Chains of several actuators under rods and other trees: what many starts find.
+        Chains of several actuators under rods and other trees: the solutions found from many starts.
         """
         return self._solutions(require_poses(poses))
 
@@ -319,7 +319,7 @@ class Kinematics(ABC):
             poses: Poses of the tool there (N); by default those of forward kinematics. A tree takes its own.
 
         Returns:
-            (N, 6, na), linear first; (N, 3, na) for a plate that only translates. nan where there is no pose.
+            (N, 6, na), linear first; (N, 3, na) for a plate that only translates. nan without a pose.
         """
 
     @abstractmethod

@@ -261,7 +261,7 @@ class BallJoints:
     Attributes:
         rods: The robot.
         axes: Unit vectors (2, n, 3): of the joints on carts, in the carts' frames, then on the plate, in its frame.
-        limits: Largest angles (2, n) [rad]; inf where there is no ball joint.
+        limits: Largest angles (2, n) [rad]; inf without a ball joint.
         given: Whether the file gives the axis (2, n).
     """
 

@@ -104,7 +104,7 @@ _CELLS = _Cells()
 
 
 def get_cells(robot: Robot) -> Known:
-    """Return the cells that are known of a robot's geometry, whatever its masses are."""
+    """Return the known cells of a robot's geometry, independent of its masses."""
     placed = repr((robot.passive_home, robot.drive_scales, robot.mimics)), robot.home.tobytes()
     return _CELLS.of(robot.model, robot.actuated, robot.loops, *placed)
 

@@ -1,4 +1,4 @@
-r"""Inverse kinematics of a free plate on fewer than six actuators: the tool's position, and what orientation is left to choose.
+r"""Inverse kinematics of a free plate on fewer than six actuators: the tool's position, and the closest orientation.
 
 The rods then hold the plate on a surface of as many dimensions as there are actuators, and a pose asked for need not lie
 on it. Position is met; the rotation follows (three actuators) or comes as near as it can in the sense of the smallest

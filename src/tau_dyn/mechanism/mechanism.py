@@ -85,7 +85,7 @@ def get_rods(robot: Robot | Kinematics) -> PlateOnLegs | None:
 
 
 def get_solver(robot: Robot | Kinematics) -> object:
-    """Return what solves a robot's forward kinematics.
+    """Return the solver of a robot's forward kinematics.
 
     Raises:
         LoopClosureError: Its loops cannot be closed at home.

@@ -135,7 +135,7 @@ class PlateOnLegs(Legs, Kinematics):
 
     @cached_property
     def engine(self) -> SlidingPlate | FreePlate:
-        """What solves forward kinematics.
+        """Solver of the forward kinematics.
 
         Raises:
             LoopClosureError: The rods cannot be closed at home.
@@ -144,7 +144,7 @@ class PlateOnLegs(Legs, Kinematics):
 
     @cached_property
     def inverse_engine(self) -> RodInverse:
-        """What solves inverse kinematics."""
+        """Solver of the inverse kinematics."""
         return RodInverse(self, lambda: self.commanded)
 
     def _forward(self, q: np.ndarray, start: Poses | None) -> ForwardResult:

@@ -1,4 +1,4 @@
-r"""Poses of a tool in the world, actuated positions as users give them, and what forward and inverse kinematics answer."""
+r"""Poses of a tool in the world, actuated positions as users give them, and the results of forward and inverse kinematics."""
 
 from __future__ import annotations
 
@@ -181,7 +181,7 @@ class _Judged:
 
     @property
     def ok(self) -> np.ndarray:
-        """Where there is an answer (N,)."""
+        """Whether a sample has a solution (N,)."""
         return self.code == OK
 
     @property
@@ -212,12 +212,13 @@ class InverseResult(_Judged):
     Attributes:
         q: Actuated positions (N, na) [m or rad], nan without a solution.
         code: Index into `REASONS` (N,).
-        position_error: How far the tool is from the pose asked for (N,) [m]; nan without positions.
-        orientation_error: Angle between the tool and the pose asked for (N,) [rad]; above rounding only if the robot has too
-            few degrees of freedom for the orientation asked for.
+        position_error: Distance of the tool from the requested pose (N,) [m]; nan without positions.
+        orientation_error: Angle between the tool and the requested pose (N,) [rad]; above rounding only if the robot has too
+            few degrees of freedom for that orientation.
         culprit: Actuated joints that caused the failure, '' without one (N,).
         unlimited: Positions before joint limits were looked at (N, na).
-        rotation: Rotation that the tool takes there (N, 3, 3), the one asked for where the robot can; nan without `unlimited`.
+        rotation: Rotation that the tool takes there (N, 3, 3), the requested one if the robot can reach it; nan without
+            `unlimited`.
     """
 
     q: np.ndarray

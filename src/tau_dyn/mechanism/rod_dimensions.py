@@ -116,14 +116,14 @@ class SixRods:
         self._plan = Elimination.plan(pattern, reference) if np.linalg.cond(reference) < 1e8 else None
 
     def factor(self, at: Rows) -> Factor | None:
-        """Return the factors, or None where there is no plan."""
+        """Return the factors, or None without a plan."""
         if self._plan is None:
             return None
         entries = {(k, c): (at.d[k][c] if c < 3 else at.moment[k][c - 3]) for k in range(6) for c in range(6)}
         return self._plan.factor(entries)
 
     def accurate(self, at: Rows, b: np.ndarray) -> np.ndarray:
-        """Return the twists (6, ..., N), each sample checked for what elimination left."""
+        """Return the twists (6, ..., N), each sample checked for the residual of elimination."""
         factor = self.factor(at)
         if factor is None:
             return solve_with_lapack(build_dense(at), b)
@@ -325,7 +325,7 @@ def _along(numbers: RodDimensions, k: int) -> float:
 
 
 def _reach(numbers: RodDimensions, k: int, q: np.ndarray) -> np.ndarray:
-    """Return how far a rod with a slide in it goes along the slide (N,) [m]."""
+    """Return the extent along the slide of a rod that contains a slide (N,) [m]."""
     return _along(numbers, k) + numbers.gains[k] * q[numbers.slides[k]]
 
 

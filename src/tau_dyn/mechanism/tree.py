@@ -110,7 +110,7 @@ class SamplewiseTree(Mechanism):
     def cart_sensitivity(self, q: np.ndarray) -> np.ndarray:
         """Return the tool's displacement per link's displacement (N, 3, na, 3); see `Mechanism.cart_sensitivity`.
 
-        A shifted link carries all that hangs on it along; what gap that leaves in the loops the passive joints close.
+        A shifted link carries all bodies that hang on it; the passive joints close the gaps that this causes in the loops.
         """
         (q,) = self._checked(q)
         passive, n_loops = self.solver.passive_v, len(self.robot.loops)
@@ -236,7 +236,7 @@ class SamplewiseTree(Mechanism):
         return blocks
 
     def _extra(self, q: np.ndarray) -> np.ndarray:
-        """Return the tree forces of mass that only gravity feels (nv,)."""
+        """Return the tree forces of mass that only gravity acts on (nv,)."""
         return sum((weight.mass * self._hold(q, weight) for weight in self._weights), np.zeros(self.model.nv))
 
     def _hold(self, q: np.ndarray, weight: Weight) -> np.ndarray:
@@ -248,11 +248,11 @@ class SamplewiseTree(Mechanism):
 
 
 class LoadedTree(BatchedTree):
-    """Batched dynamics, and what joints carry inside a mechanism: forces across guideways, and how bearings turn.
+    """Batched dynamics, and internal loads of a mechanism: forces across guideways, and the rotation of bearings.
 
-    No drive holds the passive joints, so the loops' forces `lambda` do: `J_p' lambda = tau_p`, where `tau_p` are the forces that
-    the open tree would need there. What everything beyond a slide's own link puts on that link is then the loops' pulls on its
-    subtree less what accelerates and carries the bodies behind it. Moments do not pass into it.
+    No drive holds the passive joints, so the loops' forces `lambda` do: `J_p' lambda = tau_p`, where `tau_p` are the forces
+    that the open tree would need there. The force of all bodies beyond a slide's own link on that link is then the loops'
+    forces on its subtree minus the forces that accelerate and carry the bodies beyond it. Moments do not enter it.
     """
 
     def __init__(self, robot: Robot, solver: LoopSolver, joints: list[Joint]) -> None:
@@ -326,9 +326,9 @@ _inverse_dynamics, _inertia = _by_number("inverse_dynamics"), _by_number("inerti
 class TreeMechanism(SamplewiseTree):
     """Dynamics of a tree with loops.
 
-    A controller and a simulator ask for one sample at a time, which Pinocchio answers 50 times as fast as arrays do; of two
-    thousand samples arrays are three to six times as fast. Trees with joints of more than one degree of freedom know one by one
-    alone. Both give the same numbers.
+    A controller and a simulator need one sample at a time, for which Pinocchio is 50 times as fast as arrays; for two thousand
+    samples arrays are three to six times as fast. Trees with joints of more than one degree of freedom are computed one by one.
+    Both give the same numbers.
     """
 
     regressor = _by_number("regressor")
@@ -356,7 +356,7 @@ class TreeMechanism(SamplewiseTree):
         return np.ascontiguousarray((share.T @ tree.reshape(x.shape)).T)
 
     def weight_arms(self, q: np.ndarray) -> WeightArms:
-        """Return what gravity is multiplied by at actuated positions (N, na): forces at rest, body by body.
+        """Return the factors of gravity at actuated positions (N, na): forces at rest, body by body.
 
         Raises:
             InputError: The robot has a joint of several freedoms.

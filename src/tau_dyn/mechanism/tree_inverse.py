@@ -81,7 +81,7 @@ def find_tree_solutions(engine: TreeNewton, poses: Poses) -> InverseSolutions:
 def _search(
     engine: TreeNewton, poses: Poses, sets: list[list[np.ndarray]], left: np.ndarray, enough: int | None
 ) -> None:
-    """Add to the sets of poses `left` what many starts find; more than `enough` are not looked for."""
+    """Add the solutions found from many starts to the sets of poses `left`; stop at `enough`."""
     robot = engine.robot
     met = [[0] * len(known) for known in sets]
     home = np.repeat(robot.home[None], len(sets), axis=0)

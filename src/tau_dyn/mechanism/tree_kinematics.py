@@ -153,7 +153,7 @@ class TreeKinematics(Kinematics):
 
     @cached_property
     def inverse_engine(self) -> TreeNewton:
-        """What solves inverse kinematics."""
+        """Solver of the inverse kinematics."""
         return TreeNewton(self.engine)
 
     @cached_property

@@ -1,14 +1,14 @@
-"""The tool of any tree with loops, and Newton on all joints at once: loops and tool closed, orientation as near as it goes.
+"""The tool of any tree with loops, and Newton on all joints at once: loops and tool closed, orientation as close as possible.
 
 The loops are closed at `q` (`loop_arrays.py`) and the tool frame is read off; its Jacobian is `J_tree G`. The inverse solves
 
     J_loops dx = -c,   J_p dx = p_wanted - p,   minimise |J_r dx - log(R_wanted R')|
 
-with `x` the positions of all joints, actuated and passive. No loop is closed for itself on the way, so a pose out of reach
-costs as little as one in reach: its gap stops shrinking and it is given up. Actuators that can move without the tool idle
-towards the start. What motion costs falls with the square of the turn that is left, which keeps convergence quadratic near
-singularities such as a straight elbow. Arrays of joints have samples last. Reference: Siciliano et al. 2009, ch. 3; Yamashita &
-Fukushima 2001.
+with `x` the positions of all joints, actuated and passive. No loop is closed separately during the iteration, so a pose out of
+reach takes no longer than one in reach: its gap stops shrinking and it is given up. Actuators that can move without the tool
+move towards the start. The cost of motion falls with the square of the remaining rotation, which keeps convergence quadratic
+near singularities such as a straight elbow. Arrays of joints have samples last. Reference: Siciliano et al. 2009, ch. 3;
+Yamashita & Fukushima 2001.
 """
 
 from __future__ import annotations
@@ -215,7 +215,7 @@ class TreeNewton:
         return q, code, error, rotation
 
     def _found(self, poses: Poses, x: np.ndarray, toward: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return `newton`'s answer; where idling keeps it from coming to rest, the tool is brought there first."""
+        """Return the result of `newton`; if idle motion prevents its convergence, solve for the tool first."""
         found, error = self.newton(poses, x, toward)
         lost = np.flatnonzero(~np.isfinite(found[0])) if self.idle else np.zeros(0, int)
         if lost.size:

@@ -1,20 +1,20 @@
 """The plant as compiled code: whole runs in one call, the same trajectories as `plant.py` to rounding, many times faster.
 
-A model's equations are traced (`codegen/plant_equations.py`), written in C with the parameters left open, compared with the
-simulator's at random states, built once and kept (`codegen/compiler.py`). One library serves all values of the parameters:
+A model's equations are traced (`codegen/plant_equations.py`), written in C with the parameters as inputs, compared with the
+simulator's at random states, built once and stored (`codegen/compiler.py`). One library works for all values of the parameters:
 
     plant = CompiledPlant.find(model, n_samples)
     plant.apply_forces(q0, v0, dt, tau, parameters=theta)      # forces (N, na)
     plant.follow(q0, v0, servo, parameters=theta)              # a reference, through a cascade
 
-A run that cannot be finished (a loop opens, a number is not finite, a decision falls otherwise than while tracing) returns None;
-then `plant.py` decides what that means. What cannot be traced, and all where there is no compiler, is simulated there too.
+A run that cannot be finished (a loop opens, a number is not finite, a condition differs from that during tracing) returns None;
+`plant.py` then handles it. It also simulates models that cannot be traced, and all models without a compiler.
 
-Building pays where it takes less time than it saves: one step of `plant.py` takes 0.2 to 0.5 ms, and building half a second to
-three, the more the more joints there are.
+A library is built if that takes less time than it saves: one step of `plant.py` takes 0.2 to 0.5 ms, and a build half a second
+to three, growing with the number of joints.
 
-Encoders that round make a loop that is open below their step: without friction, differences of 1e-16 grow there until a rounding
-tips, and two runs then differ by a step of the encoders, as those of two computers do.
+Encoders that round open the feedback below their step: without friction, differences of 1e-16 grow there until a rounding
+changes, and two runs then differ by a step of the encoders, as those of two computers do.
 """
 
 from __future__ import annotations
@@ -194,7 +194,7 @@ class CompiledPlant:
         return out if self.library.plant_tool(state, _point(q), _point(out), ctypes.c_int64(len(q))) == len(q) else None
 
     def begin(self, q0: np.ndarray, v0: np.ndarray, *controller: np.ndarray) -> Any:
-        """Return the library's state at positions, velocities (na,) and, where there is one, the controller's numbers."""
+        """Return the library's state at positions, velocities (na,) and, if there is a controller, its numbers."""
         loops = self.equations.loops
         passive = np.zeros(0) if loops is None else loops.closed(q0)[loops.passive]
         given = [np.ascontiguousarray(x, float) for x in (q0, v0, passive, *controller)]

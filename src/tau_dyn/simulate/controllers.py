@@ -3,7 +3,7 @@
     e_k = kp (q_ref - q)_k + speed_feedforward v_ref_{k-1} - (q_k - q_{k-2}) / (2 dt),
     u_k = K (e_k + integral_rate * int e dt) + u_ff,   tau_k = force_per_unit * clip(u_k, -limit, limit).
 
-K is `diag(kv)`, or, where the law knows the robot, `M(q_ref) diag(kv)`: then an error of one joint accelerates that joint
+K is `diag(kv)`, or, if the law has the mass matrix, `M(q_ref) diag(kv)`: then an error of one joint accelerates that joint
 alone. Gains of the mass matrix' diagonal make a serial arm swing between its force limits, because an arm that gives way at the
 other joints has far less inertia than its diagonal entry.
 
@@ -90,7 +90,7 @@ class CascadeLaw:
         speed_feedforward: Share of the reference speed that is added to the command.
         force_per_unit: Force of one unit of the drive [N or N m per unit]; 1 if the unit is the force.
         limit: Largest output [unit].
-        inertia: Gives the mass matrix (na, na) at positions (na,), by which the velocity loop is multiplied; or None.
+        inertia: Gives the mass matrix (na, na) at positions (na,), a factor of the velocity loop; or None.
     """
 
     position_gain: np.ndarray

@@ -59,7 +59,7 @@ class EffectSurroundings:
 
 
 class Memory:
-    """Signals that effects remember, advanced from sample to sample."""
+    """Internal states of effects, advanced from sample to sample."""
 
     def __init__(self, effects: Iterable[Effect], na: int, surroundings: EffectSurroundings | None = None) -> None:
         """Start in equilibrium at time zero."""
@@ -180,7 +180,7 @@ class SampledForces:
         return added
 
     def _place(self, effect: Effect, values: np.ndarray) -> None:
-        """Sort an effect by how it is asked for its force."""
+        """Sort an effect by the way its force is evaluated."""
         unknown = [name for name in effect.needs if name not in _KNOWN]
         if unknown:
             raise InputError(
@@ -221,7 +221,7 @@ class SampledForces:
         sign: np.ndarray,
         force: np.ndarray | None = None,
     ) -> Motion:
-        """Return `len(a)` samples at one place and speed, with the signals that an effect feels."""
+        """Return `len(a)` samples at one position and speed, with the signals that an effect needs."""
         n = len(a)
         places, speeds = np.tile(q, (n, 1)), np.tile(v, (n, 1))
         signals = repeat_signals(self.memory.signals(effect), n)
@@ -234,7 +234,7 @@ class SampledForces:
 
 
 class _Jointwise:
-    """An effect that each of its joints feels by itself, asked for all of them and both signs in one call."""
+    """An effect that acts on each of its joints separately, evaluated for all joints and both signs in one call."""
 
     def __init__(self, effect: JointwiseEffect, index: np.ndarray, values: np.ndarray) -> None:
         """Look up values; `index` (n,) are the effect's joints."""

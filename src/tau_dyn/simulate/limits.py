@@ -30,7 +30,7 @@ def compute_condition_bound(model: Model) -> float:
 def describe_exceeded_limit(
     model: Model, motion: Trajectory, *, margin: float = 0.0, condition: float | None = None, forces: bool = True
 ) -> str | None:
-    """Return what hinders the robot from following a motion, as half a sentence, or None.
+    """Return the limit or singularity that a motion meets, as half a sentence, or None.
 
     Args:
         model: Robot and friction.

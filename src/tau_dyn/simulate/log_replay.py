@@ -154,7 +154,7 @@ class SteppedPlant(Protocol):
         ...
 
     def step(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Apply forces (na,) around the sample; return its speed, acceleration and who is stuck, then move on."""
+        """Apply forces (na,) around the sample; return its speed, acceleration and stuck joints, then advance."""
         ...
 
 
@@ -272,7 +272,7 @@ def _start_with_temperatures(log: Log, joints: tuple[str, ...]) -> StartPlant:
 def _drive(
     model: Model, log: Log, law: CascadeLaw, pace: _Pace, start_plant: StartPlant | None, progress: Progress | None
 ) -> PlantRun:
-    """Return what happens, at the log's samples."""
+    """Return the simulated run at the log's samples."""
     joints, (often, substeps) = model.robot.actuated, pace
     reference = _reference(log, joints, often)
     period = 1 / (often * _rate(log))

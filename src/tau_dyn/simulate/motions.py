@@ -123,7 +123,7 @@ def build_exciting_motion(
     """Return the best conditioned of `trials` random Fourier motions; its note reports the condition number.
 
     Raises:
-        InputError: As `build_fourier_motion`; or fewer than one trial is asked for.
+        InputError: As `build_fourier_motion`; or fewer than one trial is requested.
     """
     if trials < 1:
         raise InputError("invalid_value", f"a search needs at least one trial, not {trials}")

@@ -1,4 +1,4 @@
-"""What really happened in a simulation, before any sensor saw it."""
+"""True motion and forces of a simulation, before any sensor."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@
 
 The plant moves the loads; encoders read in front of them. Where the displacement follows from the load's own path (a periodic
 error, a scale, a play, a loop), the controller reads it too. A `joint_compliance` reaches the log alone: its quasi-static law
-knows no resonance, which a feedback through it would excite. Carts off their guideways move the tool's position alone.
+has no resonance, which a feedback through it would excite. Carts off their guideways move the tool's position alone.
 
 A log is *sampled*, not averaged: drives write their registers at each log tick. So noise above half the log rate folds down, as
 it does in recordings, and positions and forces keep one clock; a mean over the ticks would delay them. Force noise has the
@@ -49,7 +49,7 @@ _PATH = _FOR_FORCES | {"reversal", SHIFTED_FORCE}
 
 
 class EncoderErrors:
-    """What encoders read beyond their loads, from sample to sample."""
+    """Encoder readings minus the loads' positions, from sample to sample."""
 
     def __init__(self, model: Model) -> None:
         """Look up the displacements that follow from each joint's path."""
@@ -68,7 +68,7 @@ class EncoderErrors:
         return tuple(effect for effect, _ in self._effects)
 
     def read(self, q: np.ndarray) -> np.ndarray:
-        """Return what perfect encoders show of the next true positions (na,) [m or rad]."""
+        """Return the readings of perfect encoders for the next true positions (na,) [m or rad]."""
         if self._last is not None:
             self._memory.advance(q - self._last, 0.0)
         self._last = np.array(q)
@@ -245,7 +245,7 @@ class Sensors:
         return cls(noise, step, force_noise_relative=0.01, force_ar=(0.5,), tool_noise=5e-5, log_rate_hz=log_rate_hz)
 
     def read_positions(self, q: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Return what encoders show of positions (N, na) [m or rad]."""
+        """Return the encoders' readings of positions (N, na) [m or rad]."""
         noise = broadcast_per_joint(self.encoder_noise, q.shape[1], "encoder_noise") * rng.standard_normal(q.shape)
         return self.rounded(q + noise)
 

@@ -29,7 +29,7 @@ file is a controller file (see `controllers`) whose first line is `law: servo`:
     force_per_unit: 2.94         # [N m], required
     back_emf: 0.2                # [s/rad]
     command_delay: {estimate: 0.02}   # a start value, to be estimated
-    logs:                        # what differs in some logs, by a pattern of their names
+    logs:                        # entries that differ in some logs, by a pattern of their names
       "kp800_*": {position_gain: 4.6}
     encoder: motor               # or link, the default
     command: position            # the default, or speed, current, pwm
@@ -127,7 +127,7 @@ class ServoLaw:
         given: Whether the user gave the law; a law that is estimated without start values has no torque scale.
         encoder: Side of the joint, of `SIDES`, whose position and speed the law uses.
         measured: Side whose position the logs hold.
-        command: What commands are, of `COMMANDS`.
+        command: Kind of the commands, one of `COMMANDS`.
     """
 
     joints: tuple[str, ...]

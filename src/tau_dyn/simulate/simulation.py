@@ -97,7 +97,7 @@ def simulate_drive(
     feedback: Feedback = "encoder",
     progress: Progress | None = None,
 ) -> PlantRun:
-    """Return what really happens, to be measured by `measure`, if need be many times (`feedback='ideal'`)."""
+    """Return the true run, for `measure`, several times if needed (`feedback='ideal'`)."""
     if motion.joints != model.robot.actuated:
         expected, got = ", ".join(model.robot.actuated), ", ".join(motion.joints)
         raise InputError(

@@ -47,7 +47,7 @@ class Trajectory:
         q: Positions (N, na) [m or rad].
         v: Speeds (N, na) [m/s or rad/s].
         a: Accelerations (N, na) [m/s^2 or rad/s^2].
-        name: What messages call it.
+        name: Name in messages.
         notes: Sentences about how it was made, such as a scaling that limits enforced.
     """
 
@@ -216,7 +216,7 @@ def concatenate(
         rest: Rest before each move [s].
         speed: Highest speed of a move [m/s or rad/s].
         rate_hz: Sampling rate of the result [Hz].
-        name: What messages call the result.
+        name: Name of the result in messages.
 
     Raises:
         InputError: There are no pieces, their joints differ, or one does not start and end at rest.
@@ -251,7 +251,7 @@ class MotionProfile(NamedTuple):
 
 
 class Segment(NamedTuple):
-    """A piece of a path: for `duration` [s] the speed goes from `start` to `end`."""
+    """A piece of a path: for `duration` [s] the speed changes from `start` to `end`."""
 
     duration: float
     start: float
@@ -264,7 +264,7 @@ class Segment(NamedTuple):
 
 
 def build_speed_profile(t: np.ndarray, segments: Sequence[Segment]) -> MotionProfile:
-    """Return the path through segments, from zero at time zero, at times (N,); the last speed goes on after the end."""
+    """Return the path through segments, from zero at time zero, at times (N,); the last speed continues after the end."""
     duration, start, end = (
         np.array(x, float) for x in zip(*segments, (np.inf, segments[-1].end, segments[-1].end), strict=True)
     )

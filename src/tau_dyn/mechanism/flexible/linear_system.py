@@ -139,7 +139,7 @@ class SampledModel:
         dt: Step [s].
         inputs: Names of the inputs.
         outputs: Names of the outputs.
-        delay: Whole steps by which each input acts late (m,).
+        delay: Delay of each input in whole steps (m,).
     """
 
     A: np.ndarray

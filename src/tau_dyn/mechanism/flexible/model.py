@@ -1,7 +1,7 @@
-"""A robot whose springs may yield: linearised about a pose, its natural modes, static compliance and state space.
+"""A robot with springs: linearised about a pose, its natural modes, static compliance and state space.
 
-With `z = [a; s]`, the actuated positions and the springs' deflections, the mechanism is an ordinary rigid one whose loops
-close as ever. A drive's spring yields between the drive, where `a` is measured, and the link: the joint is at `a + s`, and
+With `z = [a; s]`, the actuated positions and the springs' deflections, the mechanism is an ordinary rigid one whose loops close
+in the same way. A drive's spring yields between the drive, where `a` is measured, and the link: the joint is at `a + s`, and
 the drive's inertia moves with `a` alone. Virtual work gives
 
     M(z) z'' + h(z, z') + [0; k s + d s'] = [tau; 0] + J_f' f.
@@ -12,7 +12,7 @@ At rest with the actuators held, the springs sag until `h_s + k s = 0`. About th
 
     M_ss s'' + D_ss s' + K_ss s = -M_sa a'' - K_sa a + J_fs' f.
 
-Accelerations of the input are no input one wants to log, so they are absorbed: with `F = -M_ss^-1 M_sa`, `s = F a + x1` and
+Accelerations of the input are rarely logged, so they are eliminated: with `F = -M_ss^-1 M_sa`, `s = F a + x1` and
 `x2 = x1' + M_ss^-1 D_ss F a`,
 
     x1' = x2 - M_ss^-1 D_ss F a

@@ -6,7 +6,7 @@ by `gain * q + offset`. Loops join points of two links: `<link>.anchor_x..`, or 
 that hangs on passive turns, so that only the distance from those to the point matters. Reference: Mooring, Roth &
 Driels 1991, ch. 2; Khalil & Dombre 2002, ch. 11.
 
-Left out of a fit unless asked for (`free=False`): parameters with the same effect as another one (a turn of a revolute joint
+Left out of a fit unless requested (`free=False`): parameters with the same effect as another one (a turn of a revolute joint
 about its own axis and a shift of a slide along itself equal its offset), the axes of a universal joint, gear ratios, the tool's
 position (the fit has its own `tool.x` ..), and parameters without effect on the tool, such as the positions of the six joints
 that represent a free plate.
@@ -168,7 +168,7 @@ def compute_tool_frame(robot: Robot, tool: str | None = None) -> int:
 
     Raises:
         InputError: There is no frame `tool` and the robot has several chains.
-        UnknownName: The frame that was asked for does not exist.
+        UnknownName: The requested frame does not exist.
     """
     model = robot.model
     if tool is not None:
