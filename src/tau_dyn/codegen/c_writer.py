@@ -149,7 +149,7 @@ def require_c_name(name: str, taken: Collection[str] | None = None) -> str:
 
     Args:
         name: The name.
-        taken: Names that the source itself uses, where the function is called just this; None where more follows it.
+        taken: Names that the source itself uses, where the function is called just this; None if more follows it.
 
     Raises:
         InputError: It is no identifier of C, or means something else in the source.

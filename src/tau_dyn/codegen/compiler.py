@@ -88,7 +88,7 @@ class LibraryCache:
             return Path(tempfile.gettempdir()) / f"tau_dyn_{os.getuid() if os.name == 'posix' else 'user'}"
 
     def find(self, source: str) -> ctypes.CDLL | None:
-        """Return a source's library where it is built already."""
+        """Return a source's library if it is built already."""
         compiler = find_compiler()
         if compiler is None:
             return None
@@ -98,7 +98,7 @@ class LibraryCache:
         return self._loaded.get(key)
 
     def build(self, source: str) -> ctypes.CDLL | None:
-        """Return a source's library, built if need be; None where that is not possible here."""
+        """Return a source's library, built if needed; None if that is not possible here."""
         found, compiler = self.find(source), find_compiler()
         if found is not None or compiler is None:
             return found

@@ -161,7 +161,7 @@ def _units(root: Element, variables: tuple[Variable, ...]) -> None:
 
 
 def build_base_units(unit: str) -> dict[str, int] | None:
-    """Return a unit as powers of base units, `N s/m` as kg/s; None where it is not made of units known here.
+    """Return a unit as powers of base units, `N s/m` as kg/s; None if it is not made of units known here.
 
     A space multiplies and a bar divides by what follows it, which may be a bracket: `N/(m/s)` is N s/m.
     """

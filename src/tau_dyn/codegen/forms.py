@@ -232,7 +232,7 @@ class TracingInputs:
     Attributes:
         graph: The graph.
         q: Positions (1, na); also `v` and `a`.
-        theta: The model's parameters where they are inputs, else None.
+        theta: The model's parameters if they are inputs, else None.
         passive: With loops, the passive joints (np,).
         form: The mechanism.
     """

@@ -128,7 +128,7 @@ class KinematicsProgram:
         rods: Its rods, None for a tree.
         kind: 'closed', 'rods' or 'tree'.
         forward: For a closed form or a serial arm: `q` -> `p` (3), `R` (9), `J`.
-        inverse: Where it has a closed form: `p`, `R` -> `q`.
+        inverse: With a closed form: `p`, `R` -> `q`.
         equations: Else: `q`, `z` -> `gap` and its derivative `G` by drives and the freedoms of `z`.
         tool: For a tree: `q`, `z` -> `p`, `R`, and its twist `T` by drives and `z`.
         home: Drives and `z` at home (na + nz,); `z` is the plate's position and rotation for rods, the passive joints for a
@@ -342,6 +342,6 @@ def _by_equations(program: KinematicsProgram, q, plate, p, R, J) -> list[float]:
 
 
 def _apart(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the largest difference, relative where numbers are larger than 1; inf where one is missing."""
+    """Return the largest difference, relative for numbers larger than 1; inf if a number is missing."""
     worst = np.abs(a - b) / np.maximum(1.0, np.abs(b))
     return float(np.max(np.where(np.isfinite(worst), worst, np.inf)))

@@ -343,7 +343,7 @@ def yield_plant_parts(equations: Equations, further: Sequence[str]) -> Iterator[
 
 
 def _write_part(name: str, part: TracedFunction, moved: dict[str, str]) -> str:
-    """Return one part as a function that leaves with 0, or with 1 where the robot cannot be; parameters by their places."""
+    """Return one part as a function that returns 0, or 1 at an unreachable state; parameters by their indices."""
     takes = ", ".join(f"const double *{array}" for array in part.arguments)
     gives = ", ".join(f"double {array}[{len(values)}]" for array, values in part.outputs.items())
     head = f"static int {name}({takes}, {gives})"

@@ -55,7 +55,7 @@ class Program:
     """A feedforward as straight-line code.
 
     Attributes:
-        feedforward: Where it came from.
+        feedforward: The feedforward that was traced.
         graph: Its expressions.
         outputs: The forces (na,): nodes or numbers.
         signals: Further arguments, each (na,), in order.

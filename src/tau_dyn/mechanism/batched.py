@@ -42,7 +42,7 @@ class BodyMotion(NamedTuple):
     Attributes:
         movers: The actuated joints that move it (n,).
         linear: Its origin's velocity per actuated speed (3, n, N).
-        angular: Its angular velocity per actuated speed (3, n, N), or None where it cannot turn.
+        angular: Its angular velocity per actuated speed (3, n, N), or None if it cannot turn.
         acceleration: Its origin's acceleration minus gravity (3, N).
         turning: Its angular velocity (3, N), None for zero.
         spinning_up: Its angular acceleration (3, N), None for zero.
@@ -98,7 +98,7 @@ def _product(column: list[np.ndarray], partial: np.ndarray) -> np.ndarray:
 
 
 def _spin_matrix(body: BodyMotion) -> list[list[np.ndarray]] | None:
-    """Return the rows of `S = [dw]x + [w]x [w]x`, or None where the body does not turn."""
+    """Return the rows of `S = [dw]x + [w]x [w]x`, or None if the body does not turn."""
     if body.turning is None and body.spinning_up is None:
         return None
     zero = np.zeros((3, body.linear.shape[2]))

@@ -68,7 +68,7 @@ class FrameMotion(NamedTuple):
 
 
 def list_joints(model: pin.Model) -> list[Joint] | None:
-    """Return a model's joints, parents first, or None where one has more than one degree of freedom."""
+    """Return a model's joints, parents first, or None if one has more than one degree of freedom."""
     found = []
     for index in range(1, model.njoints):
         item, name = model.joints[index], model.joints[index].shortname().removeprefix("JointModel")
@@ -161,7 +161,7 @@ def transform_point(at: Frames, joint: int, local: np.ndarray) -> np.ndarray:
 def yield_columns(
     at: Frames, joints: Iterable[Joint], place: np.ndarray
 ) -> Iterator[tuple[Joint, np.ndarray, np.ndarray | None]]:
-    """Yield how a point (3, N) moves and turns with each joint's speed, both (3, N); None where it does not turn."""
+    """Yield how a point (3, N) moves and turns with each joint's speed, both (3, N); None if it does not turn."""
     for joint in joints:
         axis = at.axis[joint.index]
         if joint.slides:
@@ -175,7 +175,7 @@ def compute_cross_product(a: np.ndarray, b: np.ndarray) -> np.ndarray: ...
 @overload
 def compute_cross_product(a: Vector, b: Vector) -> Vector: ...
 def compute_cross_product(a: Vector, b: Vector) -> Vector:
-    """Return `a x b` of components (3, ..., N), which must have as many axes, or (3,); None where one is zero."""
+    """Return `a x b` of components (3, ..., N), which must have as many axes, or (3,); None if one is zero."""
     if a is None or b is None:
         return None
     shape = a.shape if a.shape == b.shape else np.broadcast_shapes(a.shape, b.shape)

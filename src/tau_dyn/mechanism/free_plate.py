@@ -123,7 +123,7 @@ class FreePlate:
                 return
 
     def walk(self, start: np.ndarray, goal: np.ndarray, plate: Plate) -> Plate:
-        """Return the poses at `goal` (na, N) reached in small steps from `start`; nan where the way is barred."""
+        """Return the poses at `goal` (na, N) reached in small steps from `start`; nan where the way is blocked."""
         away = np.abs(goal - start) / self.cell[:, None]
         distance = np.where(np.isfinite(away).all(axis=0), away.max(axis=0), np.inf)
         steps = int(np.ceil(distance[distance < _MAX_CELLS_FROM_HOME].max(initial=0.0)))

@@ -145,7 +145,7 @@ class Kinematics(ABC):
         robot: The robot.
         equations: Kind of the equations, for code generation: "sliding plate", "free plate" or "tree".
         translates: Whether the tool keeps its rotation; twists then have three rows.
-        legs: Plate and legs where the robot has them, else None.
+        legs: Plate and legs if the robot has them, else None.
         geometry: Geometric parameters at this geometry's values; units m, rad, 1.
     """
 

@@ -139,7 +139,7 @@ class Legs:
         return plate.after(self.tool)
 
     def ridden(self, q: np.ndarray, tool: Poses) -> Poses:
-        """Return the tool's poses (N) with the rotation that it takes at `q` (N, na) where it turns with a rod."""
+        """Return the tool's poses (N) with its rotation at `q` (N, na) if it turns with a rod."""
         if self.ride is None:
             return tool
         carried, start = self.numbers.carried, self.ride.start

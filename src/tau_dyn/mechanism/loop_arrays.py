@@ -221,7 +221,7 @@ class LoopArrays:
         return Dense(invert_matrices(self._dense(passive, len(self.passive)))), None
 
     def _planned(self) -> Elimination | None:
-        """Return how to eliminate at home and near it; None where the passive Jacobian has no inverse."""
+        """Return how to eliminate at home and near it; None if the passive Jacobian has no inverse."""
         if not self._ends or 3 * len(self._ends) != len(self.passive):
             return None
         home = self.positions(self.solver.close(self.solver.robot.home))

@@ -45,7 +45,7 @@ from tau_dyn.robot import Robot
 
 
 def read_dimensions(robot: Robot, found: Found) -> RodDimensions:
-    """Return the geometry of a robot that was recognised, by arms where its file declares them."""
+    """Return the geometry of a robot that was recognised, by arms if its file declares them."""
     joints, index = _chain_joints(robot, found)
     actuator = {robot.model.getJointId(name): k for k, name in enumerate(robot.actuated)}
     rods = found.rods
@@ -93,7 +93,7 @@ def _clean(x: np.ndarray) -> np.ndarray:
 
 
 def _as_arms(robot: Robot, found: Found, numbers: RodDimensions) -> RodDimensions:
-    """Return the geometry by arms where the file declares a simplified Gantry-Tau and it is one."""
+    """Return the geometry by arms if the file declares a simplified Gantry-Tau and the robot is one."""
     carriers = [numbers.joints[c].name if c >= 0 else "" for c in numbers.carried.carrier]
     carts = [arm.cart_joint for arm in robot.arms]
     alone = all(j.slides and j.parent < 0 for j in numbers.joints)

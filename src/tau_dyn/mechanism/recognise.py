@@ -48,7 +48,7 @@ class RodFound:
         length: Length at home's positions, but with the leg's slide at zero [m].
         slide: Joint of an actuated slide in the rod, 0 without a slide.
         offset: How far the slide's line misses the rod's first point [m].
-        gain: 1 where the slide lengthens the rod, -1 where it shortens it.
+        gain: 1 if the slide lengthens the rod, -1 if it shortens it.
     """
 
     name: str
@@ -195,7 +195,7 @@ class _Tree:
         return Found(rods, plate, False, home, tool, rerooted=True)
 
     def point(self, plate: int) -> Found | None:
-        """Return a plate that is one point, where rods alone meet in the tool; None where they do not."""
+        """Return a plate that is one point, if rods alone meet in the tool; None if they do not."""
         frames = [self.model.frames[f] for loop in self.robot.loops for f in (loop.frame_a, loop.frame_b)]
         tool = self.model.frames[self.robot.tool_frame]
         tip = (self.data.oMi[plate] * tool.placement).translation
@@ -281,7 +281,7 @@ class _Tree:
         return column[3:], self.data.oMi[joint].translation
 
     def _meet(self, joints: list[int]) -> np.ndarray | None:
-        """Return the point in which turns meet, of one turn its joint's origin; None where they do not."""
+        """Return the point in which turns meet, for one turn its joint's origin; None if they do not."""
         lines = [self._line(j) for j in joints]
         if len(lines) == 1:
             return lines[0][1]
@@ -304,8 +304,8 @@ class _Tree:
             name: Name of the rod.
             joints: The turns.
             slide: An actuated slide between them and the ball, 0 without a slide.
-            near: The joint that carries the driven end, and the ball where it is there.
-            far: The plate's joint, and the ball where it is there.
+            near: The joint that carries the driven end, and the ball if it is at that end.
+            far: The plate's joint, and the ball if it is at the plate.
         """
         ball = far[1] if near[1] is None else near[1]
         assert ball is not None

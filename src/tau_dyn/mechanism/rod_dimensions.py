@@ -154,7 +154,7 @@ class RodDimensions:
         on_plate: Points B in the plate's frame (n, 3) [m].
         slides: Actuator of the slide in each rod (n,), -1 without a slide.
         offsets: How far the slide's line misses A (n,) [m].
-        gains: How much the slide lengthens the rod per reading of its drive (n,): 1, or -1 where it shortens it, times its scale.
+        gains: How much the slide lengthens the rod per reading of its drive (n,): 1, or -1 if it shortens it, times its scale.
         arms: Names of the arms of a simplified Gantry-Tau, in the rods' order, else empty.
     """
 

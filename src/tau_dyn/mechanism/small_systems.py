@@ -132,7 +132,7 @@ class Elimination:
 
     @classmethod
     def plan(cls, pattern: set[tuple[int, int]], reference: np.ndarray) -> Elimination | None:
-        """Choose pivots for a pattern at a reference matrix (n, n); None where it is singular or not square."""
+        """Choose pivots for a pattern at a reference matrix (n, n); None if it is singular or not square."""
         if reference.shape[0] != reference.shape[1]:
             return None
         size = len(reference)

@@ -127,7 +127,7 @@ def _place(rotation: np.ndarray, offset: np.ndarray | None = None) -> np.ndarray
 
 
 def _eliminate(engine: TreeNewton, six: np.ndarray, pose: Poses) -> tuple[list[np.ndarray], str]:
-    """Return the solutions (na,) of one pose that eliminations find, and why they may not be all, '' where they are."""
+    """Return the solutions (na,) of one pose that eliminations find, and why some may be missing, '' if all are found."""
     wanted = _place(pose.rotation[0], pose.position[0])
     G = np.concatenate([(six[6] @ np.linalg.inv(wanted) @ six[0])[None], six[1:6]])
     found: list[np.ndarray] = []

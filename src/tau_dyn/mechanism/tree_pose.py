@@ -170,7 +170,7 @@ class TreeNewton:
     """Solves one robot."""
 
     def __init__(self, engine: TreePose) -> None:
-        """Find out at home which motions leave the tool where it is."""
+        """Find at home the motions that do not move the tool."""
         self.engine, self.robot = engine, engine.robot
         model = self.robot.model
         self._active, self._scale = self.robot.active_v, self.robot.drive_scale
@@ -227,7 +227,7 @@ class TreeNewton:
         return found, error
 
     def way(self, poses: Poses) -> np.ndarray:
-        """Return where the straight way from home leads (nv, N); nan where it is barred."""
+        """Return the positions at the end of the straight way from home (nv, N); nan where it is blocked."""
         n, way = len(poses.position), StraightWay(self.engine.pose_at(self.home), poses)
         x, toward = np.repeat(self.home, n, axis=1), np.repeat(self.robot.home[None], n, axis=0)
         for share in np.linspace(0, 1, _STEPS + 1)[1:-1]:

@@ -68,7 +68,7 @@ class _TracedModels:
     def find(
         self, model: Model, shown: Sequence[DisplacementEffect], campaign: float | None
     ) -> tuple[Equations, str] | None:
-        """Return a model's equations, traced if need be; None where it cannot be traced.
+        """Return a model's equations, traced if needed; None if it cannot be traced.
 
         The model is kept alive, by whose parts it is known.
         """
@@ -171,7 +171,7 @@ class CompiledPlant:
     def compute_inertia(self, law_model: Model, q: np.ndarray) -> np.ndarray | None:
         """Return the mass matrix (N, na, na) of a model of the same robot along positions (N, na), or None.
 
-        None where the robots differ in more than values, or where a position cannot be reached.
+        None if the robots differ in more than values, or if a position cannot be reached.
         """
         names = law_model.parameters.names
         own = [self.model.parameters.names[k] for k in self.places]
@@ -185,7 +185,7 @@ class CompiledPlant:
         return out if done == len(q) else None
 
     def compute_tool(self, q: np.ndarray) -> np.ndarray | None:
-        """Return the tool's positions (N, 3) [m] along positions (N, na), or None where one cannot be reached."""
+        """Return the tool's positions (N, 3) [m] along positions (N, na), or None if one cannot be reached."""
         q = np.ascontiguousarray(q, float)
         out = np.empty((len(q), 3))
         if self.equations.tool is None or not len(q):
@@ -205,7 +205,7 @@ class CompiledPlant:
     def apply_forces(
         self, q0: np.ndarray, v0: np.ndarray, dt: float, tau: np.ndarray, *, parameters: np.ndarray | None = None
     ) -> PlantMotion | None:
-        """Return the motion under forces, each around its sample; None where the run cannot be finished.
+        """Return the motion under forces, each around its sample; None if the run cannot be finished.
 
         Args:
             q0: Positions at the start (na,) [m or rad].
@@ -230,7 +230,7 @@ class CompiledPlant:
         hold: bool = False,
         watch: Callable[[int, np.ndarray], bool] | None = None,
     ) -> PlantMotion | None:
-        """Return the motion along a reference; None where the run cannot be finished.
+        """Return the motion along a reference; None if the run cannot be finished.
 
         Args:
             q0: Positions at the start (na,) [m or rad].

@@ -182,7 +182,7 @@ class Servo:
 
 
 class CascadeController:
-    """A cascade of a position and a velocity loop for all joints, with force feedforward where it is given."""
+    """A cascade of a position and a velocity loop for all joints, with optional force feedforward."""
 
     def __init__(self, law: CascadeLaw, *, start: Model | None = None, feedforward: Feedforward | None = None) -> None:
         """Prepare a controller.

@@ -184,12 +184,12 @@ def replay(
         cutoff_hz: Low-pass before speeds and accelerations are taken [Hz], inf for no low-pass; by default as high as the
             measured encoders' noise allows (1e-4 of the acceleration's power, `find_motion_band`), and the same for later
             replays of the log.
-        start_plant: Starts the robot in another program; by default `Plant`, compiled where it can be.
+        start_plant: Starts the robot in another program; by default `Plant`, compiled if possible.
         progress: Called with the share that is done.
 
     Raises:
         InputError: The log lacks a column or has a gap, the law is for another robot, or the simulated feedback is unstable.
-        LoopClosureError: The robot was driven where its loops cannot be closed.
+        LoopClosureError: The robot was driven to a position at which its loops cannot be closed.
     """
     joints = model.robot.actuated
     log = ensure_even(_checked(log, joints))

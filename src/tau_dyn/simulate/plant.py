@@ -164,7 +164,7 @@ def run_plant(
 
     Raises:
         InputError: The feedback is unstable.
-        LoopClosureError: The robot was driven where its loops cannot be closed.
+        LoopClosureError: The robot was driven to a position at which its loops cannot be closed.
     """
     dt = reference.duration / (reference.n_samples - 1)
     plant = Plant(model, reference.q[0], np.zeros(model.robot.na), dt)
@@ -197,7 +197,7 @@ def _run_compiled(
     encoder: EncoderReadings | None,
     progress: Progress | None,
 ) -> PlantMotion | None:
-    """Return the run of a cascade as compiled code; None where this is not possible or does not end well."""
+    """Return the run of a cascade as compiled code; None if this is not possible or the run fails."""
     if type(controller) is not CascadeController:
         return None
     compiled = CompiledPlant.find(model, reference.n_samples, encoders=encoder is not None)

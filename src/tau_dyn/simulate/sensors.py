@@ -114,7 +114,7 @@ def get_voltages(run: PlantRun, forces: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _read_forces(run: PlantRun) -> np.ndarray | None:
-    """Return the forces (N, na) that drives report of those they give; None where they report them as they are."""
+    """Return the forces (N, na) that drives report; None if these equal the true forces."""
     reading = [e for e in run.model.effects if isinstance(e, ForceReading)]
     signals: dict[str, np.ndarray] = {"force": run.tau, DELIVERED: run.tau}
     motion = Motion.of(run.model.robot.actuated, run.q, run.v, run.a, t=run.t, signals=signals)
@@ -176,7 +176,7 @@ def _record_forces(run: PlantRun) -> np.ndarray | None:
 
 
 def _shifted_tool(run: PlantRun) -> np.ndarray | None:
-    """Return where the tool is (N, 3) [m] with its carts shifted, or None where they are not or there is no tool."""
+    """Return the tool's position (N, 3) [m] with its carts shifted, or None without a shift or without a tool."""
     robot, mechanism = run.model.robot, run.model.mechanism
     effects = [e for e in run.model.effects if isinstance(e, CartShift)]
     if not effects or robot.tool_frame is None:
@@ -209,7 +209,7 @@ class Sensors:
         force_ar: Coefficients of `x_k = sum_i c_i x_{k-i} + e_k` that colour the force noise.
         force_power_law: Exponent b of a spectral density `1 / f^b` instead; 0 is white, 1 pink.
         tool_noise: Standard deviation of the tool position's noise, each axis [m].
-        tool: Whether the log has the tool's position, where the robot has a frame `tool`; a stock arm's flange is seldom tracked.
+        tool: Whether the log has the tool's position, if the robot has a frame `tool`; a stock arm's flange is seldom tracked.
         log_rate_hz: Rate of the log [Hz], an integer part of the control rate; None for the control rate.
     """
 
@@ -304,7 +304,7 @@ class EncoderReadings:
 def measure(run: PlantRun, sensors: Sensors, rng: np.random.Generator, name: str = "simulated") -> Log:
     """Turn a run into a log with `q_J`, `tau_J`, `q_ref_J` and, with a tool frame, `x_tool y_tool z_tool`.
 
-    Positions are those the controller read where its feedback went through the encoders; else they are read here, so
+    Positions are those the controller read if its feedback used the encoders; else they are read here, so
     that one run can be measured with many seeds.
 
     Raises:
@@ -328,7 +328,7 @@ def measure(run: PlantRun, sensors: Sensors, rng: np.random.Generator, name: str
 
 
 def _round_to(q: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """Return positions (..., na) rounded to a step (na,) each, where it is not zero."""
+    """Return positions (..., na) rounded to a step (na,) each, if it is not zero."""
     return np.where(step > 0, np.round(q / np.where(step > 0, step, 1.0)) * step, q)
 
 

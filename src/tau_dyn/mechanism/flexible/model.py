@@ -202,7 +202,7 @@ _WORLD = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
 @dataclass(frozen=True, eq=False)
 class _Rest:
-    """Where the robot rests: all coordinates (n,) and the tree's configuration (nq,)."""
+    """Rest position of the robot: all coordinates (n,) and the tree's configuration (nq,)."""
 
     z: np.ndarray
     tree: np.ndarray
@@ -309,7 +309,7 @@ class FlexibleModel:
         return q
 
     def _rest(self, q: np.ndarray, sag: bool) -> _Rest:
-        """Return where the robot rests with its actuators at `q`: Newton with the springs' own stiffness as slope."""
+        """Return the rest position of the robot with its actuators at `q`: Newton with the springs' own stiffness as slope."""
         na = self.robot.na
         z = np.concatenate([q, np.zeros(len(self.springs))])
         k = self._stiffness[na:]
