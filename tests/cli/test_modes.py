@@ -66,7 +66,7 @@ def test_responses_alone_give_resonances_without_a_scale(tmp_path, capsys):
     result = json.loads((tmp_path / "r.json").read_text())
     assert result["kind"] == "operational" and result["mdk"]["status"] == "not_identifiable"
     assert min(abs(mode["frequency_hz"] - HZ) for mode in result["modes"]) < 0.1
-    assert "nothing has a scale" in " ".join(capsys.readouterr().out.split()) and "bench.csv" in page.read_text()
+    assert "shapes have no scale" in " ".join(capsys.readouterr().out.split()) and "bench.csv" in page.read_text()
 
 
 @pytest.mark.parametrize(

@@ -56,8 +56,8 @@ def test_the_page_draws_forces_and_the_way(written: Path) -> None:
     ("given", "status", "said"),
     [
         (["--from", "9", "0", "0", "--to", "2", "-0.5", "0.8"], 2, "out of reach"),
-        (["--from", "1.5", "-0.7", "0.7"], 2, "starts and ends"),
-        ([*ENDS, "--from-joints", "0", "0", "0"], 2, "starts and ends"),
+        (["--from", "1.5", "-0.7", "0.7"], 2, "the start and the end"),
+        ([*ENDS, "--from-joints", "0", "0", "0"], 2, "the start and the end"),
         ([*ENDS, "--force-limit", "1", "2"], 2, "one a joint"),
         ([*ENDS, "--path", "nowhere.csv"], 2, "nowhere.csv"),
         ([*ENDS, "--margin", "1.5"], 2, "margin"),

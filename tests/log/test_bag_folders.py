@@ -40,7 +40,7 @@ def test_a_bag_lists_its_files(tmp_path, about: Any) -> None:
     """Without a list of names there is nothing to read."""
     path = folder(tmp_path / "run", about, "a.db3")
     assert is_bag_folder(path) and not is_bag_folder(tmp_path) and not is_bag_folder(path / "a.db3")
-    assert "does not list the bag's files; 'ros2 bag reindex' writes it anew" in refusal(path)
+    assert "does not list the bag's files; 'ros2 bag reindex' writes it again" in refusal(path)
 
 
 def test_a_missing_file_and_a_compressed_bag_are_named(tmp_path) -> None:

@@ -40,7 +40,7 @@ def test_lost_readings_are_named_with_their_time(axis_log, lost: int):
 def test_an_encoder_that_is_set_anew_is_named(axis_log):
     """From one sample on everything is 30 mm further; a step of 1 % of the range is noise to nobody, and none of ours."""
     step = np.where(axis_log.t > 10, 1.0, 0.0)
-    assert "set anew" in said(axis_log.with_channels(q_axis=axis_log.channels["q_axis"] + 0.03 * step))
+    assert "reset" in said(axis_log.with_channels(q_axis=axis_log.channels["q_axis"] + 0.03 * step))
     assert said(axis_log.with_channels(q_axis=axis_log.channels["q_axis"] + 0.006 * step)) == ""
 
 

@@ -271,7 +271,7 @@ def broken(folder, kind: str):
         ("files back in time", "b.parquet begins at t = 0 s, and a.parquet before it ends at 19.999 s"),
         ("nan", "row 12346, column tau_axis"),
         ("back in time", "row 12346: t = 1 s comes after"),
-        ("at rest", "row 12346: t = 12.344 s stands twice"),
+        ("at rest", "row 12346: t = 12.344 s occurs twice"),
         ("group begins late", "row 1778: t = 1.77 s comes after 1.776 s"),
         ("no clock", "no column t"),
         ("cut", "not a Parquet file"),

@@ -103,7 +103,7 @@ def test_bytes_that_are_not_utf8_are_named_by_line(csv_file, good_lines):
 def test_a_column_that_stands_twice_is_named(csv_file, good_lines):
     """Which of two columns q_axis is meant cannot be known."""
     good_lines[0] = "t,q_axis,q_axis"
-    assert refusal(csv_file(good_lines)).startswith("monday.csv, line 1: column q_axis stands twice")
+    assert refusal(csv_file(good_lines)).startswith("monday.csv, line 1: column q_axis occurs twice")
 
 
 def test_a_log_without_a_clock_says_what_it_has(csv_file, good_lines):
@@ -145,7 +145,7 @@ def test_time_running_backwards_is_named_with_both_times(csv_file, good_lines):
 def test_a_repeated_time_is_named(csv_file, good_lines):
     """Rounded stamps stand twice."""
     good_lines[7] = good_lines[6]
-    assert refusal(csv_file(good_lines)).startswith("monday.csv, line 8: t = 0.020 s stands twice")
+    assert refusal(csv_file(good_lines)).startswith("monday.csv, line 8: t = 0.020 s occurs twice")
 
 
 @pytest.mark.parametrize("row", ["0.020,0.5", "0.020,0.5,1.0,9.9", "# a late comment"])

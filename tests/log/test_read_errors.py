@@ -29,7 +29,7 @@ def written(path, head="t,q_axis,tau_axis", times=None, before="", after=""):
         ({"after": "s,mm,N"}, "write `q_axis: {column: q_axis, scale: 0.001}` into a column map"),
         ({"before": "Recorder export\nDevice X\n"}, "line 3 has 3 cells, and line 1, 'Recorder export', is taken for the header"),
         ({"head": "T,Q_AXIS,TAU_AXIS"}, "has no column t (did you mean T?)"),
-        ({"head": "Time,q_axis,tau_axis"}, "write `t: Time`, or `t: {rate_hz: F}` if there is none, into a column map"),
+        ({"head": "Time,q_axis,tau_axis"}, "write `t: Time`, or `t: {rate_hz: F}` without a clock, into a column map"),
     ],
 )  # fmt: skip
 def test_a_likely_mistake_is_named_with_its_remedy(tmp_path, wrong, words):

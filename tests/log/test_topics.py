@@ -162,7 +162,7 @@ def test_what_changes_too_fast_for_its_own_clock_is_not_interpolated(tmp_path, r
     map_ = ColumnMap.from_dict({"q_a": "joint_states.position.a", "tau_a": "motor.data"})
     t = T + 0.0007
     for name, at, x, why in (
-        ("noise", t, rng.standard_normal(N), "cannot be told from their neighbours"),
+        ("noise", t, rng.standard_normal(N), "cannot be found from their neighbours"),
         ("gap", np.delete(t, slice(100, 150)), np.cos(np.delete(t, slice(100, 150))), "has a gap of 0.102 s"),
         ("later", t + 100, np.cos(t), "recorded together for 0%"),
     ):

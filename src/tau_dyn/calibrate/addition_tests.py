@@ -355,7 +355,7 @@ class MoveWithin(NamedTuple):
         return (
             f"from {self.where} on, the {self.owner} seems to sit elsewhere, by {1e3 * self.shift:.2g} mm; with that "
             f"the rms residual falls by {self.percent:.0f} %, more than with any other effect, and while it is not fitted none "
-            "is confirmed; tell the poses before and after apart by a column campaign"
+            "is confirmed; mark the poses before and after by a column campaign"
         )
 
 

@@ -93,7 +93,7 @@ def _recombined(
 _NO_HELD_OUT = "no held-out poses show it"
 _ELSEWHERE = "the poses show the same at {} as well"
 _BY_DIMENSIONS = "dimensions off the robot file explain the poses as well"
-_NOT_APART = "the poses do not tell it from a move of the {}"
+_NOT_APART = "the poses do not separate it from a move of the {}"
 _OUTDONE = "an implausible law explains the poses better"
 _MISSED_POSES = "the model misses the poses by far, or a frame moved between them"
 _OF_ADDITION = {

@@ -63,7 +63,7 @@ def check_count(problem: Problem, what: str) -> None:
     have = "1 pose is" if poses.n == 1 else f"{poses.n} poses are"
     raise InputError(
         "too_little_data",
-        f"{poses.source}: {have} too few for {what}, which has {rank} unknowns that poses can tell, at {m} "
+        f"{poses.source}: {have} too few for {what}, which has {rank} unknowns that poses can determine, at {m} "
         f"{'number' if m == 1 else 'numbers'} a pose; "
         f"at least {needed} are needed, {3 * needed} are sensible",
     )
@@ -431,7 +431,7 @@ def _solve(problem: Problem, robust: str, noise: tuple[float, ...] | None, state
     if not state.ok.any():
         raise CannotAnswer(
             "no_solution",
-            f"{poses.source}: {what} cannot reach the poses from where the fit stands",
+            f"{poses.source}: {what} cannot reach the poses from the present estimate",
             "start from a robot file whose dimensions are nearer to the machine's",
         )
     weights, columns, cov = weighted.compute_covariance(state, found.kept)

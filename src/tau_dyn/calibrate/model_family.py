@@ -55,10 +55,10 @@ class Spec:
 
 
 WHY_NOT = {
-    "base_frame": "there is one campaign only; a column `campaign` tells several apart",
-    "tool_frame": "there is one campaign only; a column `campaign` tells several apart",
-    "backlash": "nothing tells from which side the joints came; give poses in the order of measuring, or columns v_J",
-    "delay": "nothing tells how fast the joints moved; give columns v_J",
+    "base_frame": "there is one campaign only; a column `campaign` separates several",
+    "tool_frame": "there is one campaign only; a column `campaign` separates several",
+    "backlash": "the side from which the joints came is unknown; give poses in the order of measuring, or columns v_J",
+    "delay": "the speed of the joints is unknown; give columns v_J",
     "gravity": "no joint of this robot carries gravity, or it has loops; drives in loops have elastic",
     "elastic": "no load on a drive varies over these poses: the robot file has no masses, and the poses no loads",
     "eccentric": "this robot has no actuated joint that turns",

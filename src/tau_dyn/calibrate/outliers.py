@@ -401,7 +401,7 @@ def _describe_undetermined(owner: str, axes: Sequence[str], where: str) -> str:
     """Return the sentence of a frame that cannot be compared along axes."""
     return (
         f"{where}: the {owner} cannot be compared with where it was along {', '.join(axes)}: the training poses do not determine "
-        "it there, so a move and wrong dimensions look alike; train on poses that turn every joint"
+        "it there, so a move and wrong dimensions look the same; train on poses that turn every joint"
     )
 
 

@@ -1,4 +1,4 @@
-"""C99 from expression graphs: a line a node, in the order of computation; and what every exported C file shares.
+"""C99 from expression graphs: one line for each node, in the order of computation; and the parts common to all exported C files.
 
 A file is fixed texts of the folder `c`, their `@BLANKS@` filled, and functions written from graphs. It has no allocation,
 no recursion and no header beyond `math.h`. Every exported function refuses inputs and outputs that are not finite or beyond
@@ -18,7 +18,7 @@ import numpy as np
 from tau_dyn.codegen.graph import Graph, Node
 from tau_dyn.exceptions import InputError
 
-MAX_NUMBER = 1e9  # m, rad, N, N m and their rates: no machine comes near; what is larger is a fault, not a state
+MAX_NUMBER = 1e9  # m, rad, N, N m and their rates, far above any machine; a larger number is a fault, not a state
 STEP, STEPS, ITERATIONS = 0.05, 100, 12
 """Largest step of a drive at once [m or rad], most steps a call, most Newton iterations a step, where loops are solved."""
 
@@ -41,7 +41,7 @@ _MATH = frozenset(
     "round lround llround trunc fmod remainder remquo copysign nan nextafter nexttoward fdim fmax fmin fma j0 j1 jn y0 y1 "
     "yn gamma signgam fpclassify isfinite isinf isnan isnormal signbit NAN INFINITY HUGE_VAL NULL double_t float_t".split()
 )
-"""What `math.h` declares or defines; each function also with `f` and `l` behind it."""
+"""Names that `math.h` declares or defines; each function also with the suffixes `f` and `l`."""
 
 
 def fill_template(name: str, flags: Collection[str] = (), **blanks: object) -> str:
@@ -77,7 +77,7 @@ def yield_graph_lines(graph: Graph, outputs: Sequence[Any]) -> Iterator[str]:
 
 
 def yield_guard_lines(graph: Graph, status: int = 1) -> Iterator[str]:
-    """Yield one line a condition that was asked for while tracing: where the answer is another one, the function leaves."""
+    """Yield one line for each condition evaluated during tracing: if its result differs, the function returns."""
     for index, answer in graph.guards.items():
         yield f"    if ({'!' if answer else ''}t{index}) return {status};"
 
@@ -149,7 +149,7 @@ def require_c_name(name: str, taken: Collection[str] | None = None) -> str:
 
     Args:
         name: The name.
-        taken: Names that the source itself uses, where the function is called just this; None where more follows it.
+        taken: Names that the source itself uses, where the function is called just this; None if more follows it.
 
     Raises:
         InputError: It is no identifier of C, or means something else in the source.
@@ -179,7 +179,7 @@ def build_identifiers(names: Iterable[str]) -> list[str]:
 
 
 def escape_comment_line(line: str) -> str:
-    """Return one line of a comment that nothing in it ends, and that is plain ASCII.
+    """Return one line of a comment in plain ASCII that cannot end the comment early.
 
     `*/` ends a comment, `/*` and trigraphs draw warnings, invisible characters can make text look like code.
     """
@@ -192,7 +192,7 @@ def escape_comment_line(line: str) -> str:
 
 
 def format_header(name: str, words: Iterable[str], declared: Sequence[str]) -> str:
-    """Return a header: what it is, then declarations that C and C++ read."""
+    """Return a header: a description, then declarations that C and C++ accept."""
     guard = f"{name.upper()}_H"
     said = "\n".join(f" * {escape_comment_line(line)}".rstrip() for line in words)
     frame = ["#ifdef __cplusplus", 'extern "C" {', "#endif"], ["#ifdef __cplusplus", "}", "#endif"]
@@ -207,7 +207,7 @@ def format_source(name: str, first: str, parts: Iterable[str]) -> str:
 
 
 def locate_header(source: Path) -> Path:
-    """Return where the header of a source file goes.
+    """Return the path of a source file's header.
 
     Raises:
         InputError: A folder is there, or C could not include a file of that name.

@@ -59,11 +59,11 @@ def write_shaper_source(
     Args:
         shaper: Impulses at whole samples.
         dt: Sampling step [s].
-        name: With which all functions begin; also of the header, `name.h`.
-        words: Lines for the header: which modes, and what is left of them.
+        name: Prefix of all functions, and name of the header, `name.h`.
+        words: Lines for the header: the modes and their residual vibration.
 
     Raises:
-        InputError: The name is no identifier of C, or an impulse lies between samples.
+        InputError: The name is no identifier of C, or an impulse is between two samples.
     """
     require_c_name(name)
     delays = np.round(shaper.times / dt).astype(int)
@@ -87,8 +87,8 @@ def write_notch_source(notch: Sections, name: str = "notch", words: Sequence[str
 
     Args:
         notch: The filter.
-        name: With which all functions begin; also of the header, `name.h`.
-        words: Lines for the header: which modes, and what is left of them.
+        name: Prefix of all functions, and name of the header, `name.h`.
+        words: Lines for the header: the modes and their residual vibration.
 
     Raises:
         InputError: The name is no identifier of C.

@@ -1,8 +1,8 @@
-"""C source into a library that runs here: the compiler, and a folder of libraries that are built once.
+"""Compile C source into a library for this machine, once, and keep the libraries in a folder.
 
-A library's name is the hash of its source, of the compiler and of its flags; so what is found there is what would be built. It
-is written under a name of its own and then renamed: several processes may build the same one. The folder is
-`$XDG_CACHE_HOME/tau_dyn`, by default `~/.cache/tau_dyn`; code is loaded only from a folder that nobody else may write to.
+A library's name is the hash of its source, of the compiler and of its flags; so a library found there is the one that would be
+built. It is written under a unique name and then renamed, because several processes may build the same library. The folder is
+`$XDG_CACHE_HOME/tau_dyn`, by default `~/.cache/tau_dyn`; code is loaded only from a folder that only the user may write to.
 `TAU_DYN_COMPILE=0` turns compiling at run time off.
 """
 
@@ -28,7 +28,7 @@ _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-co
 
 
 def find_compiler() -> str | None:
-    """Return the C compiler: `$CC`, else `cc`, `gcc` or `clang`; None where there is none."""
+    """Return the C compiler: `$CC`, else `cc`, `gcc` or `clang`; `None` if there is no compiler."""
     named = os.environ.get("CC", "").split()
     return next((found for name in (*named[:1], "cc", "gcc", "clang") if (found := shutil.which(name))), None)
 
@@ -88,7 +88,7 @@ class LibraryCache:
             return Path(tempfile.gettempdir()) / f"tau_dyn_{os.getuid() if os.name == 'posix' else 'user'}"
 
     def find(self, source: str) -> ctypes.CDLL | None:
-        """Return a source's library where it is built already."""
+        """Return a source's library if it is built already."""
         compiler = find_compiler()
         if compiler is None:
             return None
@@ -98,7 +98,7 @@ class LibraryCache:
         return self._loaded.get(key)
 
     def build(self, source: str) -> ctypes.CDLL | None:
-        """Return a source's library, built if need be; None where that is not possible here."""
+        """Return a source's library, built if needed; None if that is not possible here."""
         found, compiler = self.find(source), find_compiler()
         if found is not None or compiler is None:
             return found
@@ -128,7 +128,7 @@ class LibraryCache:
             (Path(folder) / "plant.so").write_bytes(content)
             return _load(Path(folder) / "plant.so")
         finally:
-            shutil.rmtree(folder, ignore_errors=True)  # what is loaded stays in memory
+            shutil.rmtree(folder, ignore_errors=True)  # a loaded library stays in memory
 
 
 def _hash(source: str, compiler: str) -> str:
@@ -146,7 +146,7 @@ def _hash(source: str, compiler: str) -> str:
 
 
 def _load(path: Path) -> ctypes.CDLL | None:
-    """Load a library that only this user can have written; None where there is none, or where it is no library."""
+    """Load a library that only this user can have written; return `None` if the file is missing or is not a library."""
     try:
         if os.name == "posix":
             for place in (path, path.parent):

@@ -53,7 +53,7 @@ def write_c_source(program: Program, name: str = "tau_ff") -> tuple[str, str]:
 
     Args:
         program: From `build_program`.
-        name: Of the function; also of the header, `name.h`.
+        name: Name of the function and of the header, `name.h`.
 
     Raises:
         InputError: The name is no identifier of C, or means something else there.
@@ -139,7 +139,7 @@ def _yield_body(program: Program, name: str) -> Iterator[str]:
 
 
 def yield_closing_parts(loops: Loops, closure: TracedFunction, name: str) -> Iterator[str]:
-    """Yield what closes the loops of `NA` drives: `follow(start, q)` is the one to call, `name_start` sets home."""
+    """Yield the functions that close the loops of `NA` drives: `follow(start, q)` is the one to call, `name_start` sets home."""
     n, gaps = len(loops.passive), len(closure.outputs["gap"])
     yield f"enum {{ NT = {n}, NZ = {n}, NG = {gaps}, WIDE = {n} }};"
     yield fill_template("linear", {"TRANSPOSED"})

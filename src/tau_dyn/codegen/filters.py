@@ -26,7 +26,7 @@ from tau_dyn.codegen.c_writer import (
 from tau_dyn.exceptions import InputError
 from tau_dyn.version import __version__
 
-_MEMORY = 100_000  # samples after which nothing is left of an impulse: poles up to 1 - 3e-4
+_MEMORY = 100_000  # samples after which an impulse has decayed: poles up to 1 - 3e-4
 
 
 class FilterLaw(Protocol):
@@ -67,7 +67,7 @@ def write_learning_source(law: Any, limit: float | Sequence[float], name: str = 
     Args:
         law: Filters Q and L: a `control.LearningLaw`.
         limit: Largest correction that may leave, one or one a channel [m or rad].
-        name: With which all functions begin; also of the header, `name.h`.
+        name: Prefix of all functions, and name of the header, `name.h`.
 
     Raises:
         InputError: The law is no pair of filters, a limit is not positive, or the name is no identifier of C.
@@ -107,7 +107,7 @@ def _write_filters(law: FilterLaw, limit: float | Sequence[float], name: str) ->
 
 
 def _compute_growth(sections: np.ndarray) -> float:
-    """Return a bound on what both passes make of a signal whose numbers are 1 at most: the square of the sum of |h|."""
+    """Return a bound on the result of both passes for a signal of magnitude 1 at most: the square of the sum of |h|."""
     impulse = np.zeros(_MEMORY)
     impulse[0] = 1.0
     return float(np.sum(np.abs(sosfilt(sections, impulse))) ** 2)
@@ -136,7 +136,7 @@ def write_observer_source(observer: ComplementaryObserver | KalmanObserver, name
 
     Args:
         observer: A `control.ComplementaryToolObserver` or `control.KalmanToolObserver`, tuned.
-        name: With which all functions begin; also of the header, `name.h`.
+        name: Prefix of all functions, and name of the header, `name.h`.
 
     Raises:
         InputError: The name is no identifier of C.

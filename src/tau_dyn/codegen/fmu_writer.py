@@ -2,11 +2,11 @@
 
 The source: the model's equations as functions, the simulator's step (`c/plant.c`: leapfrog with sharp friction, as
 `simulate/plant.py` has it, so that with equal steps the trajectory is the simulator's but for rounding),
-the functions of FMI (`c/fmu_interface.c`). A step that cannot be made leaves the state alone, is logged, and is an error. An
+the functions of FMI (`c/fmu_interface.c`). A step that fails leaves the state unchanged, is logged, and is an error. An
 instance is one block of memory, so its state is stored and restored as bytes.
 
-Variables are named as a log's columns: `tau_J` goes in, `q_J`, `v_J`, `x_tool` and so on come out; `q0_J` and `v0_J` are where it
-starts; parameters keep their names. Reference: FMI for Model Exchange and Co-Simulation 2.0.4, 2.2.
+Variables are named as a log's columns: `tau_J` is an input, `q_J`, `v_J`, `x_tool` and so on are outputs; `q0_J` and `v0_J` are
+the initial state; parameters keep their names. Reference: FMI for Model Exchange and Co-Simulation 2.0.4, 2.2.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from tau_dyn.version import __version__
 
 
 def write_fmu_source(equations: Equations, guid: str, about: str) -> str:
-    """Return the source, which needs no header of others beyond the C library's; `about` says what it is, in a paragraph."""
+    """Return the source, which includes headers of the C library only; `about` is a paragraph that describes the FMU."""
     return "\n\n".join(_yield_parts(equations, guid, about)) + "\n"
 
 
@@ -117,7 +117,7 @@ def format_identifier(name: str) -> str:
 
 
 def format_description(equations: Equations, guid: str, about: str) -> str:
-    """Return the file's text; `about` says in a paragraph what the FMU is."""
+    """Return the file's text; `about` is a paragraph that describes the FMU."""
     model = equations.model
     identifier, variables = format_identifier(model.robot.name), build_variables(equations)
     root = Element(
@@ -161,7 +161,7 @@ def _units(root: Element, variables: tuple[Variable, ...]) -> None:
 
 
 def build_base_units(unit: str) -> dict[str, int] | None:
-    """Return a unit as powers of base units, `N s/m` as kg/s; None where it is not made of units known here.
+    """Return a unit as powers of base units, `N s/m` as kg/s; None if it is not made of units known here.
 
     A space multiplies and a bar divides by what follows it, which may be a bracket: `N/(m/s)` is N s/m.
     """
@@ -206,7 +206,7 @@ def _write(parent: Element, reference: int, variable: Variable) -> None:
 
 
 def _structure(root: Element, variables: tuple[Variable, ...]) -> None:
-    """Say what outputs depend on: on no input of the same instant, at the start on where it starts."""
+    """Declare the dependencies of outputs: on no input of the same instant, at the start on the initial state."""
     structure = SubElement(root, "ModelStructure")
     outputs = [k for k, v in enumerate(variables, start=1) if v.causality == "output"]
     at = {v.name: k for k, v in enumerate(variables, start=1)}

@@ -1,6 +1,6 @@
-"""Mechanisms on expressions: each stands in for the mechanism of a model, so that feedforward and effects run on it unchanged.
+"""Mechanisms on expressions: each replaces the mechanism of a model, so that feedforward and effects run on it unchanged.
 
-A mechanism with a closed form is traced as it stands. Trees and loops come from `tree.py` and `loops.py`, as Pinocchio's code
+A mechanism with a closed form is traced unchanged. Trees and loops come from `tree.py` and `loops.py`, as Pinocchio's code
 cannot be traced. Parameters are numbers, or inputs named `theta`. Random states around home are where traced code is compared
 with Python.
 """
@@ -71,7 +71,7 @@ def _rest_forces(forms: list[Any], q: np.ndarray) -> Any:
 
 
 def _refuse(what: str) -> Any:
-    """Return a method that says what cannot be traced."""
+    """Return a method that raises `TypeError` with this message."""
 
     def refuse(self: Mechanism, *_: Any) -> NoReturn:
         raise TypeError(what)
@@ -94,12 +94,12 @@ class TreeForm(Mechanism):
         return arrays
 
     def place(self, q: Any) -> list[Any]:
-        """Return one position a joint of the tree, of one a drive (na,)."""
+        """Return the position of each joint of the tree from those of the drives (na,)."""
         offset = self.robot.coupling[1]
         return [x + float(c) if c else x for x, c in zip(self._spread(q), offset, strict=True)]
 
     def _spread(self, v: Any) -> list[Any]:
-        """Return one speed or acceleration a joint, of one a drive (na,): what follows moves by its share, the rest rests."""
+        """Return the speed or acceleration of each joint from the drives' (na,): followers in proportion, others zero."""
         out = []
         for row in self.robot.coupling[0]:
             driving = np.flatnonzero(row)
@@ -108,7 +108,7 @@ class TreeForm(Mechanism):
         return out
 
     def _forces(self, q: Any, v: Any, a: Any) -> tuple[list[Any], list[np.ndarray]]:
-        """Return the drives' forces without their inertia (na,), and what lies beyond each drive's link, in its axes (3,)."""
+        """Return the drives' forces (na,) without their inertia, and the force (3,) from beyond each drive's link in its axes."""
         tau, beyond = self.tree.forces(self.place(q[0]), self._spread(v[0]), self._spread(a[0]))
         felt = [tau[k] for k in self.order]
         for joint, mimic in self.robot.mimics.items():
@@ -143,7 +143,7 @@ class TreeForm(Mechanism):
         return as_expression_array(engine.place_of(trace_frames(engine.joints, self.place(q[0]))).T)
 
     def guide_load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Return what each guide or reducer carries (1, na), loops included; see `Mechanism.guide_load`."""
+        """Return the load of each guide or reducer (1, na), loops included; see `Mechanism.guide_load`."""
         felt, beyond = self._forces(q, v, a)
         load = []
         for k, place in enumerate(self.order):
@@ -153,7 +153,7 @@ class TreeForm(Mechanism):
         return as_expression_array([load])
 
     def reducer_torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Return what each drive's reducer transmits (1, na), loops included; see `Mechanism.reducer_torque`."""
+        """Return the force that each drive's reducer transmits (1, na), loops included; see `Mechanism.reducer_torque`."""
         return as_expression_array([self._forces(q, v, a)[0]])
 
     def passive_rates(self, q: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
@@ -180,7 +180,7 @@ class LoopForm(TreeForm):
         return self.loops.full(q, self.passive)
 
     def _forces(self, q: Any, v: Any, a: Any) -> tuple[list[Any], list[np.ndarray]]:
-        """Return what a tree's form does: the passive joints' motion, the open tree's forces, virtual work."""
+        """Return the same as `TreeForm._forces`, from the passive joints' motion, the open tree's forces and virtual work."""
         loops, graph, at = self.loops, self.graph, self.loops.frames(q[0], self.passive)
         J = loops.closure(at)[1][loops.rows]
         J_a, factor = J[:, loops.active], graph.factored(J[:, loops.passive])
@@ -216,7 +216,7 @@ class TracedModel(Model):
 
     @property
     def mechanism(self) -> Mechanism:  # type: ignore[override]
-        """Return the stand-in."""
+        """Return the mechanism on expressions."""
         assert self.stand_in is not None
         return self.stand_in
 
@@ -232,7 +232,7 @@ class TracingInputs:
     Attributes:
         graph: The graph.
         q: Positions (1, na); also `v` and `a`.
-        theta: The model's parameters where they are inputs, else None.
+        theta: The model's parameters if they are inputs, else None.
         passive: With loops, the passive joints (np,).
         form: The mechanism.
     """

@@ -1,9 +1,9 @@
-"""An expression graph: what a computation does to its inputs, recorded once, to be written out in another language.
+"""An expression graph: the operations of a computation, recorded once, to be written out in another language.
 
-A `Node` stands for a number that is not known yet. Arithmetic on nodes records instead of computing; equal expressions become one
-node, and what depends on no input stays a plain float. Every node also carries its value at one reference state, so that a
-question asked of it (`if height > 0`) can be answered on the spot; the answer is kept as a guard, which the written code checks.
-Reference: King 1976 (symbolic execution); Godefroid, Klarlund & Sen 2005 (with a concrete value beside it).
+A `Node` represents a number that is not known yet. Arithmetic on nodes records instead of computing; equal expressions become
+one node, and a value that depends on no input stays a plain float. Every node also carries its value at one reference state, so
+that a comparison (`if height > 0`) can be evaluated during tracing; its result is kept as a guard, which the written code
+checks. Reference: King 1976 (symbolic execution); Godefroid, Klarlund & Sen 2005 (with concrete values).
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ MEANING: dict[str, Callable[..., Any]] = {
     "min": min, "max": max, "select": _select, "lt": operator.lt, "le": operator.le, "eq": operator.eq,
     "and": lambda x, y: bool(x) and bool(y), "or": lambda x, y: bool(x) or bool(y), "not": operator.not_,
 }  # fmt: skip
-"""What each operation is, on plain numbers."""
+"""Implementation of each operation on plain numbers."""
 
 _COMMUTES = frozenset({"add", "mul", "min", "max", "eq", "and", "or", "hypot"})
 
 
 class Graph:
-    """All nodes of one computation, each after those it needs.
+    """All nodes of one computation, each after its arguments.
 
     Attributes:
         nodes: The nodes.
-        guards: Conditions that were asked for, with the answer at the reference state.
+        guards: Conditions evaluated during tracing, with their result at the reference state.
     """
 
     def __init__(self) -> None:
@@ -64,7 +64,7 @@ class Graph:
         return self._node("const", (float(value),), float(value))
 
     def apply(self, op: str, *args: Any) -> Any:
-        """Return what an operation makes of nodes and numbers: a node, or a number where nothing is unknown."""
+        """Return the result of an operation on nodes and numbers: a node, or a number if all arguments are numbers."""
         if not any(isinstance(x, Node) for x in args):
             return MEANING[op](*args)
         simple = _simplified(op, args)
@@ -91,7 +91,7 @@ class Graph:
         return [self._node("item", (x.index, k), float(value[k])) for k in range(len(flat))]
 
     def answer(self, node: Node) -> bool:
-        """Return whether a condition holds at the reference state, and remember that it was asked for."""
+        """Return whether a condition holds at the reference state, and add it to the guards."""
         self.guards[node.index] = bool(node.value)
         return bool(node.value)
 
@@ -271,4 +271,4 @@ NUMPY: dict[str, Callable[..., Any]] = {
     "lt": np.less, "le": np.less_equal, "eq": np.equal, "and": np.logical_and, "or": np.logical_or,
     "not": np.logical_not,
 }  # fmt: skip
-"""What each operation is, on arrays."""
+"""Implementation of each operation on arrays."""

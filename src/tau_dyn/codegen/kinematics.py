@@ -1,8 +1,8 @@
 r"""A robot's kinematics as traced functions, ready to be written out: forward, inverse, Jacobian.
 
-Three kinds. `closed`: three rods and a plate that only translates; nothing is iterated. `rods`: a free plate on six rods,
+Three kinds. `closed`: three rods and a plate that only translates, without iteration. `rods`: a free plate on six rods,
 its pose by Newton's method; drives that each move one rod still have a closed inverse. `tree`: serial arms and trees with
-loops. What was traced is compared with Python over random states before anything is written.
+loops. The traced functions are compared with Python over random states before any code is written.
 
 A robot of rods on expressions: `mechanism`'s own equations and closed forms, run on symbols.
 
@@ -127,15 +127,16 @@ class KinematicsProgram:
         robot: The robot.
         rods: Its rods, None for a tree.
         kind: 'closed', 'rods' or 'tree'.
-        forward: Of a closed form or a serial arm: `q` -> `p` (3), `R` (9), `J`.
-        inverse: Where it has a closed form: `p`, `R` -> `q`.
+        forward: For a closed form or a serial arm: `q` -> `p` (3), `R` (9), `J`.
+        inverse: With a closed form: `p`, `R` -> `q`.
         equations: Else: `q`, `z` -> `gap` and its derivative `G` by drives and the freedoms of `z`.
-        tool: Of a tree: `q`, `z` -> `p`, `R`, and its twist `T` by drives and `z`.
-        home: Drives and `z` at home (na + nz,): of rods the plate's place and rotation, of a tree its passive joints.
-        freedoms: Of `z`: 6 for a plate, else as many as passive joints are solved for.
-        rank: How many freedoms the drives give the tool, 6 at most.
+        tool: For a tree: `q`, `z` -> `p`, `R`, and its twist `T` by drives and `z`.
+        home: Drives and `z` at home (na + nz,); `z` is the plate's position and rotation for rods, the passive joints for a
+            tree.
+        freedoms: Degrees of freedom of `z`: 6 for a plate, else the number of passive joints that are solved for.
+        rank: Number of degrees of freedom that the drives give the tool, 6 at most.
         idle: Whether drives can move without the tool.
-        no_inverse: Why there is no inverse kinematics, '' where there is.
+        no_inverse: Reason for missing inverse kinematics, '' if it exists.
         difference: Largest difference from Python over random states [m, 1, or rad].
     """
 
@@ -166,7 +167,7 @@ def build_kinematics(robot: Robot | Rods) -> KinematicsProgram:
         robot: A robot, or its rods (perhaps calibrated).
 
     Raises:
-        InputError: It has no tool frame, or nothing of this kind can be written out for it.
+        InputError: It has no tool frame, or code generation does not support its kinematics.
         LoopClosureError: It cannot be closed at home.
     """
     rods, owner = get_rods(robot), get_robot(robot)
@@ -274,7 +275,7 @@ def _trace_tree(robot: Robot) -> KinematicsProgram:
 
 
 def _count_freedoms(robot: Robot | Rods) -> tuple[int, bool]:
-    """Return how many freedoms the drives give the tool, and whether some motion of theirs gives it none."""
+    """Return the number of degrees of freedom that the drives give the tool, and whether the drives can move without the tool."""
     q = draw_reachable_positions(robot, 8, np.random.default_rng(_SEED))
     ranks = [int(np.linalg.matrix_rank(J, tol=_RANK * max(1.0, np.abs(J).max()))) for J in jacobian(robot, q)]
     return max(ranks), get_robot(robot).na > max(ranks)
@@ -341,6 +342,6 @@ def _by_equations(program: KinematicsProgram, q, plate, p, R, J) -> list[float]:
 
 
 def _apart(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the largest difference, relative where numbers are larger than 1; inf where one is missing."""
+    """Return the largest difference, relative for numbers larger than 1; inf if a number is missing."""
     worst = np.abs(a - b) / np.maximum(1.0, np.abs(b))
     return float(np.max(np.where(np.isfinite(worst), worst, np.inf)))

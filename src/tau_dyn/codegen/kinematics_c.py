@@ -1,14 +1,14 @@
 r"""Kinematics as C99: `name_fk`, `name_jacobian` and `name_ik`, without allocation, recursion or state but the caller's.
 
-A configuration is the drives `q` and `z`, what the loops decide: a plate's place and rotation, or passive joints. Its equations
-`gap(q, z) = 0` and their derivative `G` are traced. Forward (`c/follow.c`, `c/forward.c`): `z` follows `q` from the last
-configuration in bounded steps of Newton's method; the Jacobian is `T_q - T_z G_z^-1 G_q`, with `T` the tool's twist. Inverse:
-in closed form, or by Newton's method on drives and loops at once (`c/inverse_search.c`),
+A configuration consists of the drives `q` and of `z`, which the loops determine: a plate's position and rotation, or passive
+joints. Its equations `gap(q, z) = 0` and their derivative `G` are traced. Forward (`c/follow.c`, `c/forward.c`): `z` follows
+`q` from the last configuration in bounded steps of Newton's method; the Jacobian is `T_q - T_z G_z^-1 G_q`, with `T` the tool's
+twist. Inverse: in closed form, or by Newton's method on drives and loops at once (`c/inverse_search.c`),
 
     [H  C'; C  -eps] (dx, y) = (H pull, -c),   C = [G; T_place (; T_turn)].
 
-Drives that reach all six freedoms meet the whole pose and, if some motion of theirs is idle, stay near where they started.
-Others meet the place and turn as near as they can, `H = T_turn' T_turn + small`: the equations of
+Drives that reach all six degrees of freedom meet the whole pose and, if they can move without the tool, stay near their start.
+Others meet the position, and the rotation as closely as they can, `H = T_turn' T_turn + small`: the equations of
 `mechanism/small_systems.py` (Nocedal & Wright 2006, ch. 16).
 """
 
@@ -50,7 +50,7 @@ def write_kinematics_source(program: KinematicsProgram, name: str = "robot") -> 
 
     Args:
         program: From `build_kinematics`.
-        name: With which all functions begin; also of the header, `name.h`.
+        name: Prefix of all functions, and name of the header, `name.h`.
 
     Raises:
         InputError: The name is no identifier of C.
@@ -67,7 +67,7 @@ def _needs_start(program: KinematicsProgram) -> tuple[bool, bool]:
 
 
 def _list_declarations(program: KinematicsProgram, name: str) -> list[str]:
-    """Return what the header declares."""
+    """Return the declarations of the header."""
     upper, na = name.upper(), program.robot.na
     follows, searches = _needs_start(program)
     start = f"double start[{upper}_START], "
@@ -85,7 +85,7 @@ def _list_declarations(program: KinematicsProgram, name: str) -> list[str]:
 
 
 def _yield_description(program: KinematicsProgram, name: str) -> Iterator[str]:
-    """Yield what the header says: drives and units, what the functions return, how long they may take."""
+    """Yield the header's comment: drives and units, return values of the functions, bounds on their run time."""
     robot = program.robot
     follows, searches = _needs_start(program)
     yield f"Robot: {robot.source}" + (f", sha256 {robot.sha256}" if robot.sha256 else "")
@@ -273,7 +273,7 @@ def _format_determinant(rows: list[int], columns: list[int]) -> str:
 
 
 def _compute_cost(program: KinematicsProgram) -> np.ndarray:
-    """Return what a drive's motion costs where drives can move without the tool, slides in mean rods' lengths."""
+    """Return the cost of each drive's motion, for drives that can move without the tool; slides count in mean rod lengths."""
     slides = np.array([kind == "prismatic" for kind in program.robot.joint_kinds])
     length = 1.0 if program.rods is None else float(np.mean(program.rods.lengths))
     return np.where(slides, length**-2, 1.0)

@@ -2,9 +2,9 @@ r"""Trees with loops on expressions: `mechanism`'s frames, gaps and tool run on 
 
     J_p v_p = -J_a v_a,   J_p a_p = -(J_a a_a + gamma),   tau_a = tau(active) - J_a' J_p^-T tau(passive)
 
-with `gamma` the gap's acceleration without joint accelerations: three solves with one factored matrix, and no more. Where
-rows repeat each other (a planar linkage closed by a ball) or a joint moves nothing (a rod's spin), rows and joints that say
-nothing at home are left out; what is left is square. Reference: Khalil & Dombre 2002, ch. 7 and 10; `mechanism/loops.py`.
+with `gamma` the gap's acceleration without joint accelerations: three solves with one factored matrix. If rows repeat each
+other (a planar linkage closed by a ball) or a joint has no effect (a rod's spin), the redundant rows and joints at home are
+left out; the remaining system is square. Reference: Khalil & Dombre 2002, ch. 7 and 10; `mechanism/loops.py`.
 
 The forces of the open tree are those of `mechanism/newton_euler.py`, on expressions.
 """
@@ -49,7 +49,7 @@ class Loops:
         active: Places of the actuated joints in the tree.
         passive: Places of the passive joints that are solved for.
         rows: The equations that are solved, as many.
-        home: Positions of all joints where the robot stands at home (nv,) [m or rad].
+        home: Positions of all joints at the robot's home (nv,) [m or rad].
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -97,7 +97,7 @@ class Loops:
         return as_expression_array(self._arrays.gap_acceleration(at, moving)[:, 0])
 
     def carried_force(self, held: Any, joint: int) -> Any:
-        """Return the loops' force (3,) on what a joint carries, by its index, of the forces on the solved equations."""
+        """Return the loops' force (3,) on the bodies that a joint (by index) carries, from the forces on the solved equations."""
         forces = as_expression_array(np.zeros(3 * len(self.robot.loops)))
         forces[self.rows] = held
         return self._arrays.carried_force(forces, joint)
@@ -137,8 +137,8 @@ class Tree:
             value: Gives a parameter's value by its name; by default the robot's number.
 
         Raises:
-            InputError: A joint neither turns about nor slides along one axis or follows another beside loops, or a drive has a
-                scale.
+            InputError: A joint neither turns about nor slides along one axis, a joint of a robot with loops follows another, or
+                a drive has a scale.
         """
         robot.require_unscaled_drives("generated code of a tree's equations")
         robot.require_fixed_base("generated code of a tree's equations")
@@ -164,7 +164,7 @@ class Tree:
         return other
 
     def forces(self, q: Any, v: Any, a: Any) -> tuple[list[Any], list[np.ndarray]]:
-        """Return each joint's force, without drive inertia, and what its link's children exert on it in its axes (3,)."""
+        """Return each joint's force, without drive inertia, and the force of the child links on its link, in its axes (3,)."""
         x, speeds, changes = (as_expression_array(given)[:, None] for given in (q, v, a))
         found = compute_tree_forces(self.joints, (x, speeds, changes), self.pi, self.weights, self.gravity)
         still = np.zeros((3, 1), dtype=object)

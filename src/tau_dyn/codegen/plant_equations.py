@@ -1,18 +1,18 @@
-r"""A model's forward dynamics as expressions: what one step of the simulator asks for, with the parameters left open.
+r"""A model's forward dynamics as expressions: the equations of one simulation step, with the parameters as inputs.
 
     (M(q, theta) + added(q, v, theta)) a + h(q, v, theta) = tau - f,   lower(q, v, a, theta) <= f <= upper(..)
 
-`M` and `h` are the mechanism's; `lower` and `upper` are the effects' forces at `sign` -1 and +1, as `simulate/forces.py` asks for
-them, and `added` is what effects add to `M`. All are traced from the code that simulation runs, and compared with it there.
+`M` and `h` are the mechanism's; `lower` and `upper` are the effects' forces at `sign` -1 and +1, as in `simulate/forces.py`,
+and `added` is the effects' contribution to `M`. All are traced from the code of the simulation and compared with it.
 
-What effects remember is a row of numbers: for each joint the way since its last reversal and the direction of its motion, then
-each bristle's state. `remember` moves it on by a step of the joints. Temperatures are given from outside. Encoders that read
-beside their loads have a memory of their own.
+The effects' internal state is a row of numbers: for each joint the travel since its last reversal and the direction of its
+motion, then each bristle's state. `remember` updates it by one step of the joints. Temperatures are given from outside.
+Encoders whose reading differs from the load's position have a state of their own.
 
 A plant in C: its equations as functions, the simulator's step (`c/plant.c`), and whole runs of it (`c/plant_run.c`).
 
-Nothing of a model's numbers is in the source but its geometry and its effects' settings: parameters, gains, references and steps
-are given when it runs. So one library serves all values of a model's parameters.
+The source contains only the model's geometry and its effects' settings; parameters, gains, references and steps are given at
+run time. So one library serves all values of a model's parameters.
 """
 
 from __future__ import annotations
@@ -48,15 +48,15 @@ class Equations:
     Attributes:
         model: The model, with the effects that are in the equations.
         dynamics: `M` (na * na,) and `h` (na,).
-        friction: `lower` and `upper` (na,); None where there are no effects.
-        mass: `added` (na * na,) to the mass matrix; None where no effect feels accelerations.
-        memory: `next`, the memory after the joints moved by `d` (na,); None where no effect remembers.
-        tool: `x` (3,), the tool's position [m]; None where the robot file has no tool.
-        encoders: `shown` (na,), what encoders read of true positions; None where they read these.
+        friction: `lower` and `upper` (na,); None without effects.
+        mass: `added` (na * na,) to the mass matrix; None if no effect depends on accelerations.
+        memory: `next`, the internal state after the joints moved by `d` (na,); None if no effect has one.
+        tool: `x` (3,), the tool's position [m]; None if the robot file has no tool.
+        encoders: `shown` (na,), the encoders' readings of true positions; None if they read the true positions.
         encoder_memory: As `memory`, of the encoders.
         loops: The loops that are solved numerically before each part, or None.
         closure: With loops, `gap` and `J`.
-        parameters: Places in `model.parameters` of those that matter.
+        parameters: Indices in `model.parameters` of those that the equations use.
         warm: The effects that follow a temperature, in the order of the numbers given from outside.
     """
 
@@ -82,7 +82,7 @@ def build_equations(
     Args:
         model: The model.
         encoders: The effects that the encoders' readings show.
-        campaign: Number of the recording, where effects ask for it.
+        campaign: Number of the recording, for effects that need it.
 
     Raises:
         InputError: Something of the model cannot be written as expressions of a state.
@@ -97,7 +97,7 @@ def build_equations(
 
 
 def list_unsupported_effects(model: Model) -> Sequence[tuple[Any, str]]:
-    """Return the effects that a state alone does not determine, each with what it feels."""
+    """Return the effects that a state alone does not determine, each with the first signal that is missing."""
     found = []
     for effect in model.effects:
         missing = [name for name in effect.needs if name not in BY_STATE - {"damping"}]
@@ -107,7 +107,7 @@ def list_unsupported_effects(model: Model) -> Sequence[tuple[Any, str]]:
 
 
 class _Remembered:
-    """What effects remember, as inputs `m`, and the temperatures they follow, as inputs `r`."""
+    """Internal state of the effects, as inputs `m`, and the temperatures they follow, as inputs `r`."""
 
     def __init__(self, effects: Sequence[Effect], na: int, campaign: float | None = None) -> None:
         self.na, self._campaign = na, campaign
@@ -118,7 +118,7 @@ class _Remembered:
         self.sizes = {k: n for k, n in (("m", self.size), ("r", len(self.warm) * na)) if n}
 
     def signals(self, effect: Effect, given: Mapping[str, ExpressionArray]) -> dict[str, Any]:
-        """Return what one effect remembers, by signal, each (1, na)."""
+        """Return the internal state of one effect, by signal, each (1, na)."""
         found: dict[str, Any] = {}
         if "reversal" in effect.needs:
             found["reversal"] = given["m"][None, : self.na]
@@ -150,7 +150,7 @@ class _Remembered:
 
 
 class _Inputs(TracingInputs):
-    """The inputs of a model's equations, with what its effects remember."""
+    """The inputs of a model's equations, with the internal state of its effects."""
 
     def __init__(
         self, model: Model, loops: Loops | None, remembered: _Remembered, *, open_parameters: bool = True
@@ -160,7 +160,7 @@ class _Inputs(TracingInputs):
         self.beside = {k: build_inputs(self.graph, k, np.full(n, 0.5)) for k, n in remembered.sizes.items()}
 
     def collect(self, takes: str, made: dict[str, Any], *, remembers: bool = True) -> TracedFunction:
-        """Return a function of positions, passive joints where there are loops, what is remembered, and further arrays."""
+        """Return a function of positions, passive joints if there are loops, the effects' internal state, and further arrays."""
         na = self.model.robot.na
         sizes = {"v": na, "a": na, "theta": len(self.model.parameters)}
         arguments = {"q": na} | ({} if self.passive is None else {"p": len(self.passive)})
@@ -174,7 +174,7 @@ class _Inputs(TracingInputs):
         return as_expression_array([self.value(name) for name in effect.parameters.names])
 
     def ask(self, effect: Effect, a: Any, sign: float, force: Any = None) -> Any:
-        """Return an effect's force (na,) at accelerations (1, na), and for effects that feel it at a force (na,)."""
+        """Return an effect's force (na,) at accelerations (1, na), and at a force (na,) for effects that depend on it."""
         robot = self.model.robot
         felt = [] if isinstance(effect, Bristle) else [n for n in effect.needs if n in COMPUTED]
         signals = {n: COMPUTED[n](self.form, self.q, self.v, a) for n in felt}
@@ -224,7 +224,7 @@ def trace_effect_bounds(model: Model, loops: Loops | None) -> TracedFunction:
     """Return the effects' forces at both signs with the parameters' values in them: `lower` and `upper` (na,).
 
     Raises:
-        InputError: An effect remembers, or adds to the mass matrix.
+        InputError: An effect has an internal state, or adds to the mass matrix.
         TypeError: An effect cannot be written as expressions of a state.
     """
     effects = [effect for effect in model.effects if not acts_on_recording(effect)]
@@ -256,7 +256,7 @@ def _trace_friction(given: _Inputs, effects: Sequence[Effect]) -> TracedFunction
 
 
 def _trace_added_mass(given: _Inputs, effects: Sequence[Effect]) -> TracedFunction | None:
-    """Return what the effects add to the mass matrix, or None where none of them feels accelerations."""
+    """Return the effects' contribution to the mass matrix, or `None` if no effect depends on accelerations."""
     n, rest = given.model.robot.na, as_expression_array(np.zeros((1, given.model.robot.na)))
     plain, scaled = _split_scaled(effects)
     added = as_expression_array(np.zeros((n, n)))
@@ -276,12 +276,12 @@ def _trace_added_mass(given: _Inputs, effects: Sequence[Effect]) -> TracedFuncti
 
 
 def _split_scaled(effects: Sequence[Effect]) -> tuple[list[Effect], list[Effect]]:
-    """Return the effects that feel no force, and those that do."""
+    """Return the effects that do not depend on a force, and those that do."""
     return [e for e in effects if "force" not in e.needs], [e for e in effects if "force" in e.needs]
 
 
 def _trace_encoders(given: _Inputs, effects: Sequence[DisplacementEffect]) -> TracedFunction:
-    """Return what encoders read of true positions; see `simulate/sensors.py`."""
+    """Return the encoders' readings of true positions; see `simulate/sensors.py`."""
     rest = as_expression_array(np.zeros((1, given.model.robot.na)))
     shown, heading = given.q[0], given.remembered.heading(given.beside)
     for effect in effects:
@@ -343,7 +343,7 @@ def yield_plant_parts(equations: Equations, further: Sequence[str]) -> Iterator[
 
 
 def _write_part(name: str, part: TracedFunction, moved: dict[str, str]) -> str:
-    """Return one part as a function that leaves with 0, or with 1 where the robot cannot be; parameters by their places."""
+    """Return one part as a function that returns 0, or 1 at an unreachable state; parameters by their indices."""
     takes = ", ".join(f"const double *{array}" for array in part.arguments)
     gives = ", ".join(f"double {array}[{len(values)}]" for array, values in part.outputs.items())
     head = f"static int {name}({takes}, {gives})"

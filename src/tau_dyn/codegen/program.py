@@ -1,4 +1,4 @@
-"""A feedforward as an expression graph: the mechanism, its effects and the smoothed signs, traced as they stand.
+"""A feedforward as an expression graph: the mechanism, its effects and the smoothed signs, traced without change.
 
 Effects and closed forms are the very code that identification and simulation run, fed with expressions instead of numbers
 (`tracing.py`, `forms.py`). The finished graph is compared with the feedforward in Python before anything is written.
@@ -55,7 +55,7 @@ class Program:
     """A feedforward as straight-line code.
 
     Attributes:
-        feedforward: Where it came from.
+        feedforward: The feedforward that was traced.
         graph: Its expressions.
         outputs: The forces (na,): nodes or numbers.
         signals: Further arguments, each (na,), in order.
@@ -135,7 +135,7 @@ def _compare_with_python(program: Program) -> float:
 
 
 def yield_description(program: Program) -> Iterator[str]:
-    """Yield what an exported feedforward says of itself in any language: provenance, joints, units, effects, parameters."""
+    """Yield the description of an exported feedforward for any language: provenance, joints, units, effects, parameters."""
     feedforward = program.feedforward
     model, robot = feedforward.model, feedforward.model.robot
     yield f"Feedforward forces of {robot.name}, written by tau-dyn {__version__}."

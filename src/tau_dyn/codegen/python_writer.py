@@ -38,7 +38,7 @@ def write_python_source(program: Program, name: str = "tau_ff") -> str:
 
     Args:
         program: From `build_program`.
-        name: Of the function.
+        name: Name of the function.
 
     Raises:
         InputError: The name is no identifier of Python, or means something else there.
@@ -117,7 +117,7 @@ def _named(x: Any) -> str:
 
 
 def join_names(values: Sequence[Any]) -> str:
-    """Return what stands for nodes and numbers in these lines, with commas."""
+    """Return the names of nodes, and the numbers, as they appear in the code, separated by commas."""
     return ", ".join(_named(x) for x in values)
 
 

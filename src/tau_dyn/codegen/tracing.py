@@ -1,9 +1,9 @@
-"""NumPy arrays of expressions: run array code on them, and the graph of what it computes is left behind.
+"""NumPy arrays of expressions: array code that runs on them records the graph of its computation.
 
-`ExpressionArray` is an array whose elements are numbers or `Node`s. NumPy asks it what each function shall do (NEP 13 and 18),
-so mechanisms and effects are traced as they stand, without a second version of any formula. What cannot be recorded
-raises `TypeError`. Code to be traced makes its arrays `like` those given (`np.zeros_like(v, shape=...)`), as `np.zeros` cannot
-hold expressions.
+`ExpressionArray` is an array whose elements are numbers or `Node`s. NumPy lets it override each function (NEP 13 and 18), so
+mechanisms and effects are traced without a second version of any formula. An operation that cannot be recorded raises
+`TypeError`. Code to be traced makes its arrays `like` those given (`np.zeros_like(v, shape=...)`), as `np.zeros` cannot hold
+expressions.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class ExpressionArray(np.ndarray):
         return made
 
     def __array_function__(self, func: Callable, types: Any, args: tuple, kwargs: dict) -> Any:
-        """Record what has a recording of its own; all else runs as it is, on these arrays."""
+        """Record functions that have their own implementation in `_FUNCTIONS`; run all others on these arrays."""
         if func in _FUNCTIONS:
             return as_expression_array(_FUNCTIONS[func](*args, **kwargs))
         return _wrapped(super().__array_function__(func, types, args, kwargs))

@@ -42,7 +42,7 @@ class BodyMotion(NamedTuple):
     Attributes:
         movers: The actuated joints that move it (n,).
         linear: Its origin's velocity per actuated speed (3, n, N).
-        angular: Its angular velocity per actuated speed (3, n, N), or None where it cannot turn.
+        angular: Its angular velocity per actuated speed (3, n, N), or None if it cannot turn.
         acceleration: Its origin's acceleration minus gravity (3, N).
         turning: Its angular velocity (3, N), None for zero.
         spinning_up: Its angular acceleration (3, N), None for zero.
@@ -56,7 +56,7 @@ class BodyMotion(NamedTuple):
     spinning_up: Vector
 
     def power(self, force: Vector, moment: Vector) -> np.ndarray:
-        """Return the actuated forces (n, N) that a force and a moment (3, N) at the body ask for."""
+        """Return the actuated forces (n, N) that a force and a moment (3, N) at the body require."""
         out = None
         for partial, acting in ((self.linear, force), (self.angular, moment)):
             if partial is not None and acting is not None:
@@ -98,7 +98,7 @@ def _product(column: list[np.ndarray], partial: np.ndarray) -> np.ndarray:
 
 
 def _spin_matrix(body: BodyMotion) -> list[list[np.ndarray]] | None:
-    """Return the rows of `S = [dw]x + [w]x [w]x`, or None where the body does not turn."""
+    """Return the rows of `S = [dw]x + [w]x [w]x`, or None if the body does not turn."""
     if body.turning is None and body.spinning_up is None:
         return None
     zero = np.zeros((3, body.linear.shape[2]))
@@ -152,7 +152,7 @@ class WeightArms(NamedTuple):
 
 
 class BatchedTree:
-    """Dynamics of one robot for arrays of samples; see `Mechanism` for what each method returns."""
+    """Dynamics of one robot for arrays of samples; see `Mechanism` for the return value of each method."""
 
     def __init__(self, robot: Robot, solver: LoopSolver, joints: list[Joint]) -> None:
         """Prepare for a robot with its parameters' values."""
@@ -200,7 +200,7 @@ class BatchedTree:
         return M.transpose(2, 0, 1)
 
     def weight_arms(self, q: np.ndarray) -> WeightArms:
-        """Return first moments of all bodies and how they move (N); gravity alone feels some masses, which count."""
+        """Return first moments of all bodies and their motion (N); masses that only gravity acts on are included."""
         places = np.zeros((len(self._links), 3, len(q)))
         rates = np.zeros((self.robot.na, len(self._links), 3, len(q)))
         for part in iterate_blocks(len(q)):
@@ -265,7 +265,7 @@ class BatchedTree:
             Y[partial.movers, weight.column] += self._held(closed, partial, weight)
 
     def _body(self, closed: ClosedLoops, moving: FrameMotion | None, partial: Partial, joint: int) -> BodyMotion:
-        """Return a body's partial velocities and motion in its own axes; without motion where none is given."""
+        """Return a body's partial velocities and motion in its own axes; without motion if no motion is given."""
         rotation = closed.at.rotation[joint]
 
         def own(x: Vector) -> Vector:
@@ -315,7 +315,7 @@ class BatchedTree:
 
 
 def _as_slice(movers: np.ndarray) -> slice | np.ndarray:
-    """Return joints that follow each other as a slice, which copies nothing."""
+    """Return consecutive joints as a slice, which avoids a copy."""
     n = len(movers)
     return slice(movers[0], movers[0] + n) if n and movers[-1] - movers[0] == n - 1 else movers
 

@@ -24,8 +24,8 @@ from tau_dyn.mechanism.rod_dimensions import RodDimensions
 from tau_dyn.mechanism.small_systems import Move, NewtonRules, iterate_newton
 
 _MAX_ITERATIONS = 30  # Newton steps; quadratic convergence needs five to eight
-_STILL, _DONE = 1e-6, 1e-9  # [m or rad] sizes of steps whose square is rounding, and after which none is needed
-_REACHED = 1e-10  # relative to the rod: what `(|d|^2 - L^2) / 2 L^2` may be
+_STILL, _DONE = 1e-6, 1e-9  # [m or rad] sizes of steps whose square is rounding, and after which no step is needed
+_REACHED = 1e-10  # relative to the rod: largest `(|d|^2 - L^2) / 2 L^2`
 _TURNS = 6  # starting angles a turn when all solutions of a chain are looked for
 _EQUALITY_TOLERANCE = 1e-6  # [m or rad] closer solutions are one
 
@@ -193,7 +193,7 @@ def build_chains(rods: Legs) -> list[RootChain | NewtonChain]:
 
 
 def _cut(numbers: RodDimensions, own: tuple[int, ...], actuators: tuple[int, ...]) -> RodDimensions:
-    """Return the numbers of some rods, with joints and actuators numbered anew."""
+    """Return the dimensions of some rods, with joints and actuators renumbered."""
     rows = list(own)
     used = sorted({i for k in own for i in frames.list_path(numbers.joints, numbers.carried.carrier[k])})
     index = {-1: -1} | {old: new for new, old in enumerate(used)}

@@ -1,16 +1,16 @@
 r"""Frames, rotations and motion of trees and of actuated chains for many samples at once: `(3, N)`, `(3, 3, N)`.
 
-Every number is a row of N samples, so NumPy spends its time in long loops instead of in calls. All vectors are in world
+Every number is a row of N samples, so that NumPy works in long loops instead of in many calls. All vectors are in world
 axes; a tree's joints have one degree of freedom, whose position is an angle or a length whatever Pinocchio's configuration is.
 A zero motion is `None`, so that carts on rails cost no cross products. Reference: Featherstone 2008, ch. 4 and 5.
 
-Of an actuated chain, a joint sits at `o` in its parent's frame. A slide moves along `d`, a turn rotates by `Exp(q d)`; both
+A joint of an actuated chain is at `o` in its parent's frame. A slide moves along `d`, a turn rotates by `Exp(q d)`; both
 before the constant rotation `R_0` of its own frame:
 
     slide: p = o + q d, R = R_0;        turn: p = o, R = Exp(q d) R_0.
 
-So the length of `d` is the drive's gain: 1 in a robot file, something else after a calibration. What does not depend on `q`
-stays a constant `(3, 1)` or `(3, 3, 1)`. Reference: thesis (4.16) to (4.24).
+So the length of `d` is the drive's gain: 1 in a robot file, something else after a calibration. A quantity that does not depend
+on `q` stays a constant `(3, 1)` or `(3, 3, 1)`. Reference: thesis (4.16) to (4.24).
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class FrameMotion(NamedTuple):
 
 
 def list_joints(model: pin.Model) -> list[Joint] | None:
-    """Return a model's joints, parents first, or None where one has more than one degree of freedom."""
+    """Return a model's joints, parents first, or None if one has more than one degree of freedom."""
     found = []
     for index in range(1, model.njoints):
         item, name = model.joints[index], model.joints[index].shortname().removeprefix("JointModel")
@@ -161,7 +161,7 @@ def transform_point(at: Frames, joint: int, local: np.ndarray) -> np.ndarray:
 def yield_columns(
     at: Frames, joints: Iterable[Joint], place: np.ndarray
 ) -> Iterator[tuple[Joint, np.ndarray, np.ndarray | None]]:
-    """Yield how a point (3, N) moves and turns with each joint's speed, both (3, N); None where it does not turn."""
+    """Yield how a point (3, N) moves and turns with each joint's speed, both (3, N); None if it does not turn."""
     for joint in joints:
         axis = at.axis[joint.index]
         if joint.slides:
@@ -175,7 +175,7 @@ def compute_cross_product(a: np.ndarray, b: np.ndarray) -> np.ndarray: ...
 @overload
 def compute_cross_product(a: Vector, b: Vector) -> Vector: ...
 def compute_cross_product(a: Vector, b: Vector) -> Vector:
-    """Return `a x b` of components (3, ..., N), which must have as many axes, or (3,); None where one is zero."""
+    """Return `a x b` of components (3, ..., N), which must have as many axes, or (3,); None if one is zero."""
     if a is None or b is None:
         return None
     shape = a.shape if a.shape == b.shape else np.broadcast_shapes(a.shape, b.shape)

@@ -1,11 +1,10 @@
 r"""Forward kinematics of a plate with six freedoms: Newton on SE(3) for many samples at once, in home's assembly mode.
 
-A robot like this may be assembled in up to 40 ways at the same actuated positions. Home's is followed: the positions'
-space is cut into cells, the middle of a sample's cell is walked to from home in small steps, and Newton starts from
-there, moved along the slope `dX/dq`. So a pose depends on its own `q` alone: in which order, block or process samples
-come changes nothing, and a trajectory cannot jump. Where the straight way from home is barred, ways along the axes are
-tried. The sign of the Jacobian's determinant tells when a solution lies beyond a singularity. Reference: thesis (4.32),
-(4.33); Merlet 2006, ch. 4.4.
+A robot like this may be assembled in up to 40 ways at the same actuated positions. Home's is followed: the positions' space is
+cut into cells, the middle of a sample's cell is walked to from home in small steps, and Newton starts from there, moved along
+the slope `dX/dq`. So a pose depends on its own `q` alone, not on the order, block or process of the samples, and a trajectory
+cannot jump. If the straight way from home is blocked, ways along the axes are tried. The sign of the Jacobian's determinant
+shows when a solution is beyond a singularity. Reference: thesis (4.32), (4.33); Merlet 2006, ch. 4.4.
 """
 
 from __future__ import annotations
@@ -26,9 +25,9 @@ _CELL = 0.03  # of the mean rod's length for slides; half as much again in rad f
 _FROZEN = 1e-5  # after a step this small (relative to the rods) one with the same factors is the last
 _MAX_ITERATIONS = 8  # Newton steps from a neighbour's pose; quadratic convergence needs three to five
 _MAX_CELLS_FROM_HOME = 1000  # cells from home beyond which positions are taken for a mistake of units
-_TOLERANCE = 1e-9  # [m] what the last step may be; of the rods' length where that is above one metre
+_TOLERANCE = 1e-9  # [m] largest last step; relative to the rods' length if that is above one metre
 _SINGULAR = 1e-7  # of home's determinant
-_ASTRAY = 0.2  # relative to the rods: what Newton may move a plate away from where its cell puts it
+_ASTRAY = 0.2  # relative to the rods: largest motion of a plate by Newton from the pose that its cell gives
 
 
 class Solved(NamedTuple):
@@ -101,7 +100,7 @@ class FreePlate:
         return code
 
     def _detour(self, q: np.ndarray, again: np.ndarray, solved: Solved, code: np.ndarray) -> None:
-        """Try other ways from home for these samples; write what they give."""
+        """Try other ways from home for these samples, and write their results into `solved` and `code`."""
         home = self.rods.robot.home
         order = range(self.rods.na)
         for way in (None, list(order), list(order)[::-1]):
@@ -124,7 +123,7 @@ class FreePlate:
                 return
 
     def walk(self, start: np.ndarray, goal: np.ndarray, plate: Plate) -> Plate:
-        """Return the poses at `goal` (na, N) reached in small steps from `start`; nan where the way is barred."""
+        """Return the poses at `goal` (na, N) reached in small steps from `start`; nan where the way is blocked."""
         away = np.abs(goal - start) / self.cell[:, None]
         distance = np.where(np.isfinite(away).all(axis=0), away.max(axis=0), np.inf)
         steps = int(np.ceil(distance[distance < _MAX_CELLS_FROM_HOME].max(initial=0.0)))

@@ -213,11 +213,11 @@ class GantryTauMechanism(Mechanism):
         return np.einsum("nxi,nik->nxik", np.linalg.inv(D), D)
 
     def guide_force(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        r"""Return what each rod puts across its guideway (N, 3, 3) [N]; see `Mechanism.guide_force`.
+        r"""Return the force of each rod across its guideway (N, 3, 3) [N]; see `Mechanism.guide_force`.
 
-        With `lambda_i` the force along rod i per unit of its length, the tool's balance is `D' lambda = f`, `f` being what
-        accelerates and carries plate and rods' tool ends; a cart holds its rod with `m (alpha A'' + beta T'' - (1 - c) g) +
-        lambda d`, and feels the opposite.
+        With `lambda_i` the force along rod i per unit of its length, the tool's balance is `D' lambda = f`. Here `f` is the
+        force that accelerates and carries the plate and the rods' tool ends. A cart holds its rod with
+        `m (alpha A'' + beta T'' - (1 - c) g) + lambda d`, and feels the opposite.
         """
         q, v, a = self._checked(q, v, a)
         k = self._kinematics(q, v, a)
@@ -233,14 +233,14 @@ class GantryTauMechanism(Mechanism):
         return np.sum(held * rail, axis=2, keepdims=True) * rail - held
 
     def guide_load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Return the size (N, 3) [N] of what each rod puts across its guideway."""
+        """Return the size (N, 3) [N] of the force of each rod across its guideway."""
         return np.sqrt(np.sum(self.guide_force(q, v, a) ** 2, axis=2))
 
     def passive_rates(self, q: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
         """Return each rod's angular velocity per cart velocity (N, 3, 3, 3); see `Mechanism.passive_rates`.
 
-        One pair a rod: the plate and the carts only translate, so both ends turn alike and a coefficient counts both.
-        `w = d x (T' - A') / L^2`, without the spin about the rod that nothing drives.
+        One pair a rod: the plate and the carts only translate, so both ends turn equally and a coefficient counts both.
+        `w = d x (T' - A') / L^2`, without the spin about the rod, which is not driven.
         """
         (q,) = self._checked(q)
         D = self._rods(q, self._trilaterate(q))
@@ -294,7 +294,7 @@ class GantryTauMechanism(Mechanism):
     def _out_of_reach(self, q: np.ndarray) -> None:
         place = ", ".join(f"{j} = {x:.4g} m" for j, x in zip(self.robot.actuated, q, strict=True))
         far = np.max(np.abs(q - self.robot.home)) > 20 * self.length.max()
-        hint = "; positions must be in m (do they stand in mm?)" if far else ""
+        hint = "; positions must be in m (are they in mm?)" if far else ""
         raise LoopClosureError(f"{self.robot.source}: the loops cannot be closed at {place}: out of reach{hint}")
 
     def _near_home(self, robot: Robot) -> np.ndarray:

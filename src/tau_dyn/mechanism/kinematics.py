@@ -1,8 +1,8 @@
-r"""What the geometry of a mechanism answers, whatever its kind; all that asks for poses talks to this interface alone.
+r"""Interface to the kinematics of every kind of mechanism; all code that needs poses uses this interface alone.
 
-The tool at pose X and the actuators at q close the mechanism where `g(q, X) = 0`: the gaps `|A(q) - B(X)| - L` of a plate
-on legs, the tool's deviation from where the joints put it of any other tree. With `G_x`, `G_q` and `G_p` its derivatives by the
-tool's twist, by the positions and by the geometric parameters,
+The tool at pose X and the actuators at q close the mechanism where `g(q, X) = 0`: the gaps `|A(q) - B(X)| - L` of a plate on
+legs, for any other tree the deviation of the tool from the pose that the joints give it. With `G_x`, `G_q` and `G_p` its
+derivatives by the tool's twist, by the positions and by the geometric parameters,
 
     V = J v,   J = -G_x^+ G_q,   dX/dp = -G_x^+ G_p.
 
@@ -10,11 +10,11 @@ tool's twist, by the positions and by the geometric parameters,
 2006, ch. 5 and 6. Poses are the tool's, in the world; twists are linear first, in world axes, at the tool's origin; those of a
 plate that only translates have the linear half alone. Arrays have samples first.
 
-*Commanded coordinates* are those of a tool's six that a mechanism lets one choose. The twists that the actuators give the tool
-at home span a space of r dimensions; r coordinates are taken one by one where it reaches furthest, positions before rotations,
-at the place that turns move least (on a plate, the middle of its joints): six for a 6R arm, three positions for a plate that
-translates, three positions and a turn for a SCARA, height and two tilts for a 3-PRS. Rotations are the components of the
-rotation vector after home's orientation, in world axes (Chirikjian 2012).
+*Commanded coordinates* are those of a tool's six coordinates that can be chosen on a mechanism. The twists that the actuators
+give the tool at home span a space of r dimensions; r coordinates are taken one by one where it reaches furthest, positions
+before rotations, at the place that turns move least (on a plate, the middle of its joints): six for a 6R arm, three positions
+for a plate that translates, three positions and a turn for a SCARA, height and two tilts for a 3-PRS. Rotations are the
+components of the rotation vector after home's orientation, in world axes (Chirikjian 2012).
 """
 
 from __future__ import annotations
@@ -45,17 +45,17 @@ from tau_dyn.parameters import Parameters
 from tau_dyn.robot import Robot
 
 _NAMES = ("x", "y", "z", "rx", "ry", "rz")
-_RANK = 1e-6  # singular values relative to the largest; less moves nothing
+_RANK = 1e-6  # singular values relative to the largest; smaller ones count as no motion
 _REACHES = 0.3  # share of a position that a space of twists must hold for it to be commanded before any rotation
 
 
 @dataclass(frozen=True, eq=False)
 class CommandedCoordinates:
-    """What one commands of a tool.
+    """The commanded coordinates of a tool.
 
     Attributes:
         index: Which of x, y, z, rx, ry, rz (k,).
-        home: The tool's pose at home (1 sample), whose other coordinates stand where none are commanded.
+        home: The tool's pose at home (1 sample), which gives the coordinates that are not commanded.
     """
 
     index: tuple[int, ...]
@@ -73,7 +73,7 @@ class CommandedCoordinates:
 
     @property
     def by_position(self) -> bool:
-        """Whether all positions that the tool can be brought to are commanded: no turn stands for one."""
+        """Whether all positions that the tool can reach are commanded, without a rotation in place of one."""
         return {0, 1, 2} <= set(self.index) or not any(k > 2 for k in self.index)
 
     def of(self, poses: Poses) -> np.ndarray:
@@ -93,7 +93,7 @@ class CommandedCoordinates:
         return out[:, list(self.index)]
 
     def to_poses(self, values: np.ndarray) -> Poses:
-        """Return tool poses with these coordinates (N, k); what is not commanded is home's."""
+        """Return tool poses with these coordinates (N, k); the other coordinates are those of home."""
         values = np.atleast_2d(np.asarray(values, float))
         all_six = np.zeros((len(values), 6))
         all_six[:, :3] = self.home.position
@@ -105,9 +105,9 @@ def choose_commanded(twists: np.ndarray, home: Poses, length: float) -> Commande
     """Choose coordinates at home.
 
     Args:
-        twists: Per actuated speed (6, na), linear first, of the point whose place tells turns from shifts.
+        twists: Per actuated speed (6, na), linear first, of the point about which rotations are separated from shifts.
         home: The tool's pose (1 sample).
-        length: What a turn counts [m] beside a shift.
+        length: Weight of a rotation relative to a shift [m].
     """
     scaled = twists * np.array([1.0, 1.0, 1.0, length, length, length])[:, None]
     u, s, _ = np.linalg.svd(scaled, full_matrices=False)
@@ -125,13 +125,13 @@ def choose_commanded(twists: np.ndarray, home: Poses, length: float) -> Commande
 
 
 class Singularity(NamedTuple):
-    """How far from singular, each (N,): 1 is as far as can be, 0 is there.
+    """Distance from a singularity, each (N,): 1 is the largest possible, 0 is at the singularity.
 
     Attributes:
         parallel: Smallest singular value of `G_x` by the largest, angles taken at the plate's radius (root mean square of |B|):
-            the actuators lose hold of the plate. Of a tree the same of its loops.
-        serial: The same of `G_q`, each column by the fastest point that its actuator moves: an actuator does not move
-            the plate. Of a tree the same of its tool's Jacobian.
+            the actuators lose hold of the plate. For a tree, the same of its loops.
+        serial: The same of `G_q`, each column by the fastest point that its actuator moves: an actuator does not move the
+            plate. For a tree, the same of its tool's Jacobian.
     """
 
     parallel: np.ndarray
@@ -143,9 +143,9 @@ class Kinematics(ABC):
 
     Attributes:
         robot: The robot.
-        equations: What is solved, for who writes code: "sliding plate", "free plate" or "tree".
+        equations: Kind of the equations, for code generation: "sliding plate", "free plate" or "tree".
         translates: Whether the tool keeps its rotation; twists then have three rows.
-        legs: Plate and legs where the robot has them, else None.
+        legs: Plate and legs if the robot has them, else None.
         geometry: Geometric parameters at this geometry's values; units m, rad, 1.
     """
 
@@ -156,7 +156,7 @@ class Kinematics(ABC):
     @property
     @abstractmethod
     def equations(self) -> str:
-        """What is solved."""
+        """Kind of the equations that are solved."""
 
     @property
     def legs(self) -> Legs | None:
@@ -174,7 +174,7 @@ class Kinematics(ABC):
                 translating plate takes the side of it, a tree ignores it.
 
         Returns:
-            Poses, nan with a reason where there is none. A pose depends on its own `q` (and start) alone, not on other samples.
+            Poses, nan with a reason if there is no pose. A pose depends on its own `q` (and start) alone, not on other samples.
 
         Raises:
             InputError: Arrays of the wrong shape.
@@ -217,7 +217,7 @@ class Kinematics(ABC):
         """Return the actuated positions that put the tool at poses.
 
         Args:
-            poses: Of the tool (N).
+            poses: Poses of the tool (N).
             configuration: One of `configurations`, a sign for each chain; by default home's.
             start: Positions (N or 1, na) from which to search, where a chain has no closed form, by default home. Where actuators
                 can move without the tool (a telescopic arm, a serial arm with a joint to spare), the positions nearest to
@@ -242,7 +242,7 @@ class Kinematics(ABC):
         """Return all positions that put the tool at poses, whatever their limits, and whether they are proved to be all.
 
         Legs in closed form: rows as `configurations`. Six turning joints in a chain: all, by elimination, nearest to home first.
-        Chains of several actuators under rods and other trees: what many starts find.
+        Chains of several actuators under rods and other trees: the solutions found from many starts.
         """
         return self._solutions(require_poses(poses))
 
@@ -256,20 +256,20 @@ class Kinematics(ABC):
         Raises:
             InputError: The robot has no rods.
         """
-        self._refuse_without_legs("hence no named configurations")
+        self._refuse_without_legs("so it has no named configurations")
 
     @property
     def home_configuration(self) -> np.ndarray:
         """Home's configuration (chains,)."""
-        self._refuse_without_legs("hence no named configurations")
+        self._refuse_without_legs("so it has no named configurations")
 
     def nearest_configuration(self, poses: Poses, q: np.ndarray) -> np.ndarray:
         """Return the configuration (chains,) that has positions (na,) at or near a pose (1 sample)."""
-        self._refuse_without_legs("hence no named configurations")
+        self._refuse_without_legs("so it has no named configurations")
 
     @cached_property
     def commanded(self) -> CommandedCoordinates:
-        """What one commands of the tool: from the freedoms that it has at home.
+        """The commanded coordinates of the tool, from the degrees of freedom that it has at home.
 
         Raises:
             InputError: Its motion at home is not known, as at a singularity of the loops.
@@ -282,7 +282,7 @@ class Kinematics(ABC):
 
     @abstractmethod
     def _twists_at_home(self) -> tuple[np.ndarray, float]:
-        """Return twists per actuated speed (6, na) of the point that turns move least, and what a turn counts [m]."""
+        """Return twists per actuated speed (6, na) of the point that rotations move least, and the weight of a rotation [m]."""
 
     # closure and its derivatives
 
@@ -319,7 +319,7 @@ class Kinematics(ABC):
             poses: Poses of the tool there (N); by default those of forward kinematics. A tree takes its own.
 
         Returns:
-            (N, 6, na), linear first; (N, 3, na) for a plate that only translates. nan where there is no pose.
+            (N, 6, na), linear first; (N, 3, na) for a plate that only translates. nan without a pose.
         """
 
     @abstractmethod

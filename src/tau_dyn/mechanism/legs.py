@@ -1,10 +1,11 @@
 """A plate on legs as points and distances: `|A_k(q) - B_k(X)| = L_k` (thesis (4.4), (4.14); Merlet 2006, ch. 2).
 
 Actuated chains carry points A, the plate at pose X carries points B, rods hold their distance. Public arrays have samples
-first; what the solvers use (`frames.py`, `rod_dimensions.py`) has samples last.
+first; the arrays of the solvers (`frames.py`, `rod_dimensions.py`) have samples last.
 
 Rods lean in their ball joints, on the cart and on the plate, away from an axis: the direction, in the frame of the link that
-holds the joint, of a rod in the middle of the joint's range, given from cart to plate. It is the rod's at home, or the file says
+holds the joint, of a rod in the middle of the joint's range, given from cart to plate. It is the rod's direction at home, or
+given in the file by
 
     <tau_dyn:ball_joint rod="rod1" side="cart" axis="1 0 0" angle="0.7"/>
 
@@ -34,10 +35,10 @@ _STEP = 0.2  # of the rods' length or rad
 
 
 class Ride(NamedTuple):
-    """A tool that sits on the first leg's rod and turns with it about the rod's hinge; the plate is the point at the tool.
+    """A tool that is fixed to the first leg's rod and turns with it about the rod's hinge; the plate is the point at the tool.
 
     Attributes:
-        start: From the hinge's axis to the tool at home, in the frame of the link that carries the hinge (3,) [m].
+        start: Vector from the hinge's axis to the tool at home, in the frame of the link that carries the hinge (3,) [m].
         rotation: The tool's rotation at home in that frame (3, 3).
     """
 
@@ -138,7 +139,7 @@ class Legs:
         return plate.after(self.tool)
 
     def ridden(self, q: np.ndarray, tool: Poses) -> Poses:
-        """Return the tool's poses (N) with the rotation that it takes at `q` (N, na) where it turns with a rod."""
+        """Return the tool's poses (N) with its rotation at `q` (N, na) if it turns with a rod."""
         if self.ride is None:
             return tool
         carried, start = self.numbers.carried, self.ride.start
@@ -260,7 +261,7 @@ class BallJoints:
     Attributes:
         rods: The robot.
         axes: Unit vectors (2, n, 3): of the joints on carts, in the carts' frames, then on the plate, in its frame.
-        limits: Largest angles (2, n) [rad]; inf where there is no ball joint.
+        limits: Largest angles (2, n) [rad]; inf without a ball joint.
         given: Whether the file gives the axis (2, n).
     """
 
@@ -284,7 +285,7 @@ def find_ball_joints(rods: Legs, *, angle: float | None = None) -> BallJoints:
 
     Args:
         rods: The robot.
-        angle: Largest angle [rad] of every joint; by default the file's, and 45 degrees where it gives none.
+        angle: Largest angle [rad] of every joint; by default the file's, or 45 degrees if the file has no angle.
 
     Raises:
         InputError: A hint of the robot file is at fault.

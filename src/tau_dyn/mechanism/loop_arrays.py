@@ -1,9 +1,9 @@
 r"""The closed loops solved for many samples at once, as `loops.py` solves them one by one; arrays have samples last.
 
-Every sample starts from the closure at the middle of its cell of actuated positions, moved along `G`, and Newton steps on
-all samples together do the rest. The middles are walked to from home in small steps, which selects home's assembly mode, and
-are kept. So a closure depends on its own positions alone: in which order, block or process samples come changes nothing.
-What does not converge (near a singularity, at the edge of reach) is left to the one-by-one solver, which says why not.
+Every sample starts from the closure at the middle of its cell of actuated positions, moved along `G`, and Newton steps on all
+samples together do the rest. The middles are walked to from home in small steps, which selects home's assembly mode, and are
+kept. So a closure depends on its own positions alone, not on the order, block or process of the samples. A sample that does not
+converge (near a singularity, at the edge of reach) is left to the one-by-one solver, which reports the reason.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from tau_dyn.mechanism.small_systems import ILL, CellStarts, Elimination, Entrie
 from tau_dyn.robot import Robot
 
 _CELL = 0.05  # [m or rad] as far as one-by-one closures step
-_DONE = 1e-6  # [m or rad] Newton's last step may be this large; what is left after it is of the order of its square
+_DONE = 1e-6  # [m or rad] largest last step of Newton's method; the remaining error is of the order of its square
 _MAX_ITERATIONS = 12  # Newton steps from a neighbour's pose; quadratic convergence needs three to five
 _MAX_CELLS_FROM_HOME = 2000  # cells from home beyond which positions are taken for a mistake of units
 _MAX_GEOMETRIES = 4  # whose cells are kept
@@ -44,7 +44,7 @@ _TRUSTED = 1e-12  # relative residual up to which elimination is as good as LAPA
 
 
 class PassiveInverse(Protocol):
-    """What the passive Jacobian's (pseudo-)inverse must do, on arrays (n, ..., N)."""
+    """Interface of the passive Jacobian's (pseudo-)inverse, on arrays (n, ..., N)."""
 
     def solve(self, b: np.ndarray) -> np.ndarray:
         """Return `J_p^+ b`."""
@@ -74,8 +74,8 @@ class ClosedLoops(NamedTuple):
 
     Attributes:
         x: Positions of all joints (nv, N).
-        at: Their frames.
-        inverse: Of the passive constraint Jacobian.
+        at: Frames of the joints.
+        inverse: Inverse of the passive constraint Jacobian.
         G: Tree velocity per actuated velocity (nv, na, N).
     """
 
@@ -86,7 +86,7 @@ class ClosedLoops(NamedTuple):
 
 
 class _Ends(NamedTuple):
-    """One end of a loop: its joint, where it sits in that joint's frame, and the joints that carry it."""
+    """One end of a loop: its joint, its point in that joint's frame, and the joints that carry it."""
 
     joint: int
     local: np.ndarray
@@ -104,7 +104,7 @@ _CELLS = _Cells()
 
 
 def get_cells(robot: Robot) -> Known:
-    """Return the cells that are known of a robot's geometry, whatever its masses are."""
+    """Return the known cells of a robot's geometry, independent of its masses."""
     placed = repr((robot.passive_home, robot.drive_scales, robot.mimics)), robot.home.tobytes()
     return _CELLS.of(robot.model, robot.actuated, robot.loops, *placed)
 
@@ -221,7 +221,7 @@ class LoopArrays:
         return Dense(invert_matrices(self._dense(passive, len(self.passive)))), None
 
     def _planned(self) -> Elimination | None:
-        """Return how to eliminate at home and near it; None where the passive Jacobian has no inverse."""
+        """Return how to eliminate at home and near it; None if the passive Jacobian has no inverse."""
         if not self._ends or 3 * len(self._ends) != len(self.passive):
             return None
         home = self.positions(self.solver.close(self.solver.robot.home))
@@ -268,7 +268,7 @@ class LoopArrays:
         return [transform_point(at, a.joint, a.local) for a, _ in self._ends]
 
     def carried_force(self, forces: np.ndarray, joint: int) -> np.ndarray:
-        """Return the force (3, ...) on what a joint carries, by its index, of forces (3 * loops, ...) on the loops' gaps."""
+        """Return the force (3, ...) on the bodies that joint number `joint` carries, from the loops' forces (3 * loops, ...)."""
         total = np.zeros_like(forces, shape=(3, *forces.shape[1:]))
         for force, (a, b) in zip(np.split(forces, len(self._ends)), self._ends, strict=True):
             total = total + force * float((joint in a.carriers) - (joint in b.carriers))
@@ -319,9 +319,9 @@ def compute_actuated_positions_from(robot: Robot, joints: Sequence[str], q: np.n
     """Return the actuated positions (N, na) [m or rad] at positions of other joints of the same loops.
 
     A robot with `na` freedoms is placed by any `na` joints whose motions are independent: with `v_tree = G v_a`, rows of `G` of
-    full rank. They are chosen at home by QR with column pivoting of `G'`, which takes the joints that tell most. The loops are
-    then closed with these in the place of the actuated joints, from the same configuration at home, so that the assembly mode is
-    the same. Reference: Khalil & Dombre 2002, ch. 7.
+    full rank. They are chosen at home by QR with column pivoting of `G'`, which takes the most informative joints. The loops
+    are then closed with these in the place of the actuated joints, from the same configuration at home, so that the assembly
+    mode is the same. Reference: Khalil & Dombre 2002, ch. 7.
 
     Args:
         robot: A robot with loops.

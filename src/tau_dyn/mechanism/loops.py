@@ -1,8 +1,8 @@
 """The closed loops solved one sample at a time, and the passive bearings in them; all in world axes, all loops at once.
 
-A loop k says that two points of the tree coincide, `c_k(q) = p_A(q) - p_B(q) = 0`. Pinocchio gives each joint's column of the
-tree's Jacobian as the motion `(v_o, w)` seen at the world's origin, so a point moves with `v_o + w x p`. With `J_c = dc/dv_tree`,
-split into actuated and passive columns,
+A loop k requires that two points of the tree coincide, `c_k(q) = p_A(q) - p_B(q) = 0`. Pinocchio gives each joint's column of
+the tree's Jacobian as the motion `(v_o, w)` seen at the world's origin, so a point moves with `v_o + w x p`. With
+`J_c = dc/dv_tree`, split into actuated and passive columns,
 
     v_tree = G v_a,   G = [1; -J_p^+ J_a] S,   a_tree = G a_a + g_0,   g_0 = [0; -J_p^+ gamma],
 
@@ -12,9 +12,9 @@ where `G` points from the last configuration; the inverse of `J_p` is kept while
 reached by continuation from the robot's home, which selects the assembly mode. `loop_arrays.py` closes many samples at once.
 Reference: Khalil & Dombre 2002, ch. 7; Featherstone 2008, ch. 8.
 
-A bearing lies between two bodies with mass. So passive hinges that follow each other through links without mass are one
-(a universal joint), and a cut ball is one. A chain with a passive slide in it only says where a body is (a Gantry-Tau's
-plate, counted from the base) and is no bearing. Only mechanisms with loops have passive joints.
+A bearing connects two bodies with mass. So passive hinges that follow each other through links without mass are one (a
+universal joint), and a cut ball is one. A chain with a passive slide in it only describes the position of a body (a
+Gantry-Tau's plate, relative to the base) and is no bearing. Only mechanisms with loops have passive joints.
 """
 
 from __future__ import annotations
@@ -80,14 +80,14 @@ class Constraints:
 
 
 _TOLERANCE = 1e-14  # [m] a step is the last one when it should leave no more than this
-_ROUNDED = 1e-10  # [m] what rounding may leave in a large robot
+_ROUNDED = 1e-10  # [m] error by rounding in a large robot
 _STEP = 0.05  # [m or rad] largest actuated step taken at once when coming from afar
 MAX_CORRECTION = 0.5  # of a step along `G`; near a dead centre the other assembly mode is as far away as the step
 _LONG = 0.5  # [m or rad] step of a joint along `G` that is halved
 _SHORT = 0.02  # [m or rad] the same for an older `G`, as samples in turn have
 _SLIGHT = 0.1  # of such a step, its largest correction
 _HALVINGS = 40  # of a step whose correction is larger, before the position counts as out of reach
-_UNSOLVED = 8  # halvings for which a step without any closure counts: mostly there is none
+_UNSOLVED = 8  # halvings for which a step without any closure counts: mostly there is no closure
 
 
 @dataclass
@@ -292,7 +292,7 @@ class BearingPair(NamedTuple):
 
 
 def find_passive_pairs(robot: Robot, model: pin.Model) -> tuple[BearingPair, ...]:
-    """Return the passive bearings of a robot; none without loops."""
+    """Return the passive bearings of a robot; empty without loops."""
     if not robot.loops:
         return ()
     pairs = [_of_chain(model, chain) for chain in _chains(robot, model) if _turns(model, chain)]

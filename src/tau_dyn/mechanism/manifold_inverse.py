@@ -1,4 +1,4 @@
-r"""Inverse kinematics of a free plate on fewer than six actuators: the tool's position, and what orientation is left to choose.
+r"""Inverse kinematics of a free plate on fewer than six actuators: the tool's position, and the closest orientation.
 
 The rods then hold the plate on a surface of as many dimensions as there are actuators, and a pose asked for need not lie
 on it. Position is met; the rotation follows (three actuators) or comes as near as it can in the sense of the smallest
@@ -43,8 +43,8 @@ _MISSED = 1e-7  # [m] by how much a position that is asked for may be missed
 _RULES = NewtonRules(60, 5, 0.3, _CLOSED, 1e-7)  # steps of the rods' length or rad, damped far from the solution
 _WAY = 0.15  # steps on the way from home, of the rods' length or rad
 _STEPS = 40  # at most on that way
-_ROUGH = 1e-3  # of the rods' length: what may stay open on the way
-_DAMPING = 1e-6  # what an actuator's motion costs beside a turn of the tool
+_ROUGH = 1e-3  # relative to the rods' length: gap that may stay open on the way
+_DAMPING = 1e-6  # cost of an actuator's motion relative to a rotation of the tool
 _SOFT = 1e-7  # relative damping of the least-squares step, so that a singular one stays bounded
 _RANK = 1e-9  # singular values relative to the matrix; less counts as zero
 
@@ -72,7 +72,7 @@ class ManifoldInverse:
     def solve(
         self, tool: Poses, signs: tuple[int, ...], walk: bool, start: np.ndarray | None = None
     ) -> tuple[np.ndarray, Poses]:
-        """Return positions (N, na) and the tool's poses there; nan where there are none.
+        """Return positions (N, na) and the tool's poses there; nan without a solution.
 
         Args:
             tool: Poses wanted.
@@ -245,7 +245,7 @@ class CommandedInverse(ManifoldInverse):
         return np.where(good[:, None], q, np.nan), reached
 
     def _closed(self, wanted: np.ndarray, tool: Poses, q: np.ndarray) -> tuple[np.ndarray, Poses]:
-        """Return closed positions and poses with these commanded coordinates (N, k), from starts; nan where there are none."""
+        """Return closed positions and poses with these commanded coordinates (N, k), from starts; nan without a solution."""
         q, position, rotation = q.copy(), tool.position.copy(), np.array(tool.rotation)
 
         def advance(left: np.ndarray) -> tuple[np.ndarray, np.ndarray, Move]:
@@ -272,7 +272,7 @@ class CommandedInverse(ManifoldInverse):
 
 
 def _measure_rail(numbers: RodDimensions, k: int) -> Callable[[np.ndarray], np.ndarray] | None:
-    """Return the distance (N,) [m] of places (N, 3) to all that rod k's point A can reach, limits aside.
+    """Return the distance (N,) [m] of positions (N, 3) to the set that rod k's point A can reach without limits.
 
     A point at rest, on one slide (a line) or on one turn (a circle) has one; None for longer chains.
     """

@@ -1,12 +1,12 @@
-r"""What every mechanism answers, and its kinematics: a plate on legs, or any tree.
+r"""Interface of every mechanism, and its kinematics: a plate on legs, or any tree.
 
     tau_a = M(q) a + h(q, v) = Y(q, v, a) theta
 
-in actuated coordinates. All later rooms talk to this interface and never ask whether there are loops. `theta` are
-`robot.parameters`, inertial numbers first, then drive inertia, then gravity-only mass; none of it contains friction, which is
-an effect. What needs the geometry alone stands in `mechanism.kinematics`; the functions here ask them for a robot, at its
-file's dimensions, or for kinematics as they are. Kinematics are kept beside the robots that were used last, by identity and
-for each thread, since some solvers remember where they were: a robot is frozen and stays so.
+in actuated coordinates. All later rooms use this interface and never ask whether there are loops. `theta` are
+`robot.parameters`, inertial numbers first, then drive inertia, then gravity-only mass; friction is not among them, since it is
+an effect. Functions of the geometry alone are in `mechanism.kinematics`; the functions here call them for a robot, at its
+file's dimensions, or for given kinematics. Kinematics are cached for the robots that were used last, by identity and for each
+thread, since some solvers keep their last state: a robot is frozen and does not change.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _SHELVES = _Shelves()
 
 
 def get_cached(owner: object, name: str, make: Callable[[], T]) -> T:
-    """Return what is kept for a robot under a name, made at the first call."""
+    """Return the object cached for a robot under a name; the first call makes it."""
     shelf = _SHELVES.of(owner)
     if name not in shelf:
         shelf[name] = make()
@@ -58,7 +58,7 @@ def get_cached(owner: object, name: str, make: Callable[[], T]) -> T:
 
 
 def build_kinematics(robot: Robot | Kinematics) -> Kinematics:
-    """Return a robot's kinematics: a plate on legs where it has one, else its tree. They are kept beside the robot.
+    """Return a robot's kinematics: a plate on legs if it has one, else its tree. They are cached for the robot.
 
     Raises:
         InputError: A tree without a tool frame, or with a joint of several freedoms.
@@ -85,7 +85,7 @@ def get_rods(robot: Robot | Kinematics) -> PlateOnLegs | None:
 
 
 def get_solver(robot: Robot | Kinematics) -> object:
-    """Return what solves a robot's forward kinematics.
+    """Return the solver of a robot's forward kinematics.
 
     Raises:
         LoopClosureError: Its loops cannot be closed at home.
@@ -189,7 +189,7 @@ class Mechanism(ABC):
 
     Attributes:
         robot: The robot.
-        equations: What is computed, for who writes code: "tree", or "gantry_tau" for its closed form.
+        equations: Kind of the equations, for code generation: "tree", or "gantry_tau" for its closed form.
     """
 
     equations: ClassVar[str]
@@ -204,7 +204,7 @@ class Mechanism(ABC):
 
     @cached_property
     def kinematics(self) -> Kinematics:
-        """What the geometry answers, at the robot file's dimensions.
+        """The kinematics at the robot file's dimensions.
 
         Raises:
             InputError: The robot has no tool frame.
@@ -244,22 +244,22 @@ class Mechanism(ABC):
     def guide_force(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the force [N] across each prismatic joint's axis (N, na, 3), in base axes, at the parameters' values.
 
-        It is what everything beyond the joint's own link exerts on that link; on a Gantry-Tau, what the rod puts across the
+        It is the force of all bodies beyond the joint's own link on that link; on a Gantry-Tau, the force of the rod across the
         guideway. The cart's own weight is constant and left out. Zero for revolute joints.
         """
 
     @abstractmethod
     def guide_load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Return what each actuated joint's guide carries (N, na), at the parameters' values.
+        """Return the load of each actuated joint's guide (N, na), at the parameters' values.
 
-        Prismatic: the size of `guide_force` [N]. Revolute: the size of the rigid-body torque [N m] that the reducer
-        transmits; what turns the drive's own inertia does not pass it.
+        Prismatic: the size of `guide_force` [N]. Revolute: the size of the rigid-body torque [N m] that the reducer transmits;
+        the torque that accelerates the drive's own inertia does not pass it.
         """
 
     def reducer_torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Return what each drive's reducer transmits (N, na) [N or N m], with its sign: the rigid bodies' force.
+        """Return the force that each drive's reducer transmits (N, na) [N or N m], with its sign: the rigid bodies' force.
 
-        What turns the drive's own inertia does not pass it. Of a hinge, `guide_load` is its size.
+        The torque that accelerates the drive's own inertia does not pass it. For a hinge, `guide_load` is its size.
         """
         drive = np.array([self.robot.parameters[f"{joint}.armature"].value for joint in self.robot.actuated])
         return self.inverse_dynamics(q, v, a) - drive * a
@@ -284,7 +284,7 @@ class Mechanism(ABC):
     def cart_sensitivity(self, q: np.ndarray) -> np.ndarray:
         """Return the tool's displacement (N, 3, na, 3) per displacement of each actuated joint's link, in base axes.
 
-        The link is shifted without turning, in any direction; all other actuated joints stand still and the loops close.
+        The link is shifted without turning, in any direction; all other actuated joints are held and the loops close.
 
         Raises:
             InputError: The robot file has no frame named `tool`.
@@ -334,7 +334,7 @@ class Mechanism(ABC):
     def guide_across(self) -> np.ndarray:
         """Return two unit directions across each prismatic joint's axis (na, 2, 3), in base axes; zeros for hinges.
 
-        They hold for guideways that are fixed to the base; what is carried along turns with what carries it.
+        They hold for guideways that are fixed to the base; a guideway on a moving link turns with the link.
         """
         model, data = self.robot.model, self.robot.model.createData()
         pin.forwardKinematics(model, data, pin.neutral(model))
@@ -377,7 +377,7 @@ class Mechanism(ABC):
         )
 
     def _checked(self, *arrays: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return arrays as (N, na) floats, or say what was expected."""
+        """Return arrays as (N, na) floats, or raise an error with the expected shape."""
         checked = tuple(np.atleast_2d(np.asarray(x, float)) for x in arrays)
         for x in checked:
             if x.shape != checked[0].shape or x.shape[1] != self.robot.na:
@@ -397,7 +397,7 @@ def require_tool_frame(robot: Robot) -> int:
     """Return the index of the tool's frame.
 
     Raises:
-        InputError: The robot has none.
+        InputError: The robot has no such frame.
     """
     if robot.tool_frame is None:
         raise InputError("unsupported", f"{robot.source}: the robot file has no frame named tool")
@@ -405,9 +405,9 @@ def require_tool_frame(robot: Robot) -> int:
 
 
 def compute_perpendicular_axes(direction: np.ndarray) -> np.ndarray:
-    """Return two unit vectors (2, 3) across a direction (3,): the base axes most across it, made perpendicular.
+    """Return two unit vectors (2, 3) across a direction (3,): the base axes most nearly perpendicular to it, orthogonalised.
 
-    Of a direction along a base axis they are the other two.
+    For a direction along a base axis they are the other two axes.
     """
     along = direction / np.linalg.norm(direction)
     first, second = np.eye(3)[np.sort(np.argsort(np.abs(along), kind="stable")[:2])]

@@ -33,7 +33,7 @@ from tau_dyn.robot import Robot, compute_inertia_matrix
 
 
 class Weight(NamedTuple):
-    """A mass that only gravity feels.
+    """A mass that only gravity acts on.
 
     Attributes:
         column: Among the parameters.
@@ -56,7 +56,7 @@ def list_inertial_numbers(robot: Robot, value: Callable[[str], Any]) -> dict[int
 
 
 def list_weights(robot: Robot, value: Callable[[str], Any]) -> list[Weight]:
-    """Return the masses that only gravity feels; `value` gives a parameter by its name."""
+    """Return the masses that only gravity acts on; `value` gives a parameter by its name."""
     found, model = [], robot.model
     for column, name in enumerate(robot.parameters.names):
         if name.endswith(".gravity_mass"):
@@ -84,7 +84,7 @@ class TreeForces(NamedTuple):
 
     Attributes:
         tau: The joints' forces (nv, N), without drive inertia.
-        beyond: What the links behind each joint's own exert on that one, in its axes (3, N), by Pinocchio's index.
+        beyond: Force of the links beyond each joint's own link on that link, in its axes (3, N), by Pinocchio's index.
     """
 
     tau: np.ndarray
@@ -152,7 +152,7 @@ def compute_tree_forces(
         joints: The tree.
         state: Positions, velocities and accelerations of its joints, each (nv, N).
         pi: Ten inertial numbers of the links, by Pinocchio's index.
-        weights: Masses that only gravity feels.
+        weights: Masses that only gravity acts on.
         gravity: In base axes (3,) [m/s^2].
     """
     motions = compute_link_motions(joints, *state, gravity)

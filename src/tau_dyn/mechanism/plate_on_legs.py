@@ -45,7 +45,7 @@ from tau_dyn.robot import Robot
 
 
 def read_dimensions(robot: Robot, found: Found) -> RodDimensions:
-    """Return the geometry of a robot that was recognised, by arms where its file declares them."""
+    """Return the geometry of a robot that was recognised, by arms if its file declares them."""
     joints, index = _chain_joints(robot, found)
     actuator = {robot.model.getJointId(name): k for k, name in enumerate(robot.actuated)}
     rods = found.rods
@@ -93,7 +93,7 @@ def _clean(x: np.ndarray) -> np.ndarray:
 
 
 def _as_arms(robot: Robot, found: Found, numbers: RodDimensions) -> RodDimensions:
-    """Return the geometry by arms where the file declares a simplified Gantry-Tau and it is one."""
+    """Return the geometry by arms if the file declares a simplified Gantry-Tau and the robot is one."""
     carriers = [numbers.joints[c].name if c >= 0 else "" for c in numbers.carried.carrier]
     carts = [arm.cart_joint for arm in robot.arms]
     alone = all(j.slides and j.parent < 0 for j in numbers.joints)
@@ -121,7 +121,7 @@ _SINGULAR = 1e-6  # smallest singular value of its legs' directions by the large
 
 @dataclass(frozen=True, eq=False)
 class PlateOnLegs(Legs, Kinematics):
-    """A plate on legs and its solvers; see `Legs` for its attributes and `Kinematics` for what it answers."""
+    """A plate on legs and its solvers; see `Legs` for its attributes and `Kinematics` for its methods."""
 
     @property
     def equations(self) -> str:
@@ -135,7 +135,7 @@ class PlateOnLegs(Legs, Kinematics):
 
     @cached_property
     def engine(self) -> SlidingPlate | FreePlate:
-        """What solves forward kinematics.
+        """Solver of the forward kinematics.
 
         Raises:
             LoopClosureError: The rods cannot be closed at home.
@@ -144,7 +144,7 @@ class PlateOnLegs(Legs, Kinematics):
 
     @cached_property
     def inverse_engine(self) -> RodInverse:
-        """What solves inverse kinematics."""
+        """Solver of the inverse kinematics."""
         return RodInverse(self, lambda: self.commanded)
 
     def _forward(self, q: np.ndarray, start: Poses | None) -> ForwardResult:
@@ -343,7 +343,7 @@ def _require_agreement(rods: PlateOnLegs) -> None:
         [(found.poses.position - tree.position)[both], (found.poses.rotation - tree.rotation)[both].reshape(-1, 3)]
     )
     if not both.any() or np.any((code == OK) != found.ok) or np.abs(gap).max() > _AGREE:
-        raise NotRods(f"{robot.source}: distances do not say all that its legs do to the plate")
+        raise NotRods(f"{robot.source}: distances do not describe all constraints of its legs on the plate")
 
 
 def _link_of(robot: Robot, joint: int) -> str:

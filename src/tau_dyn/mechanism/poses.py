@@ -1,4 +1,4 @@
-r"""Poses of a tool in the world, actuated positions as users give them, and what forward and inverse kinematics answer."""
+r"""Poses of a tool in the world, actuated positions as users give them, and the results of forward and inverse kinematics."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tau_dyn.robot import Robot
 
 _ROTATION = 1e-6  # largest departure of R'R from identity; numbers written with seven digits pass
 _GIANT = 1e100
-"""What `R'R` may differ from one, entry by entry, in a rotation that a user gives."""
+"""Largest difference of `R'R` from one, entry by entry, in a rotation that a user gives."""
 
 
 class Poses(NamedTuple):
@@ -46,12 +46,12 @@ class Poses(NamedTuple):
 
     @classmethod
     def join(cls, parts: Sequence[Poses]) -> Poses:
-        """Return the poses of all parts, one after the other; of no parts, none."""
+        """Return the poses of all parts, one after the other; without parts, empty poses."""
         position, rotation = [p.position for p in parts], [p.rotation for p in parts]
         return cls(np.concatenate([np.zeros((0, 3)), *position]), np.concatenate([np.zeros((0, 3, 3)), *rotation]))
 
     def after(self, placement: pin.SE3) -> Poses:
-        """Return the poses (N) of a frame that sits at `placement` in this one."""
+        """Return the poses (N) of a frame that is fixed at `placement` in this one."""
         position = self.position
         if placement.translation.any():
             position = position + self.rotation @ placement.translation
@@ -162,9 +162,10 @@ REASONS = np.array(
 )  # fmt: skip
 """Reasons by code.
 
-`out of reach`: no pose or no positions close the loops. `singular`: they do, but the mechanism has lost or won a freedom there.
-`branch change`: what was found lies beyond a singularity, in another assembly mode than home's or the start's. `no convergence`:
-Newton's steps did not come to rest; a solution may exist. `joint limit`: positions exist outside the file's limits.
+`out of reach`: no pose or no positions close the loops. `singular`: they do, but the mechanism has lost or gained a degree of
+freedom there. `branch change`: the solution is beyond a singularity, in another assembly mode than home's or the start's.
+`no convergence`: Newton's method did not converge; a solution may exist. `joint limit`: positions exist outside the file's
+limits.
 """
 
 
@@ -174,18 +175,18 @@ class _Judged:
     code: np.ndarray
 
     def __repr__(self) -> str:
-        """Return how many samples have an answer, and why the others have none."""
+        """Return how many samples have a solution, and why the others do not."""
         why = [f"{np.sum(self.code == k)} {REASONS[k]}" for k in np.unique(self.code) if k != OK]
         return f"{type(self).__name__}: {np.sum(self.ok)} of {len(self.code)} answered{', '.join(['', *why])}"
 
     @property
     def ok(self) -> np.ndarray:
-        """Where there is an answer (N,)."""
+        """Whether a sample has a solution (N,)."""
         return self.code == OK
 
     @property
     def reason(self) -> np.ndarray:
-        """Why there is none, '' where there is one (N,)."""
+        """Reason for a missing solution, '' with a solution (N,)."""
         return REASONS[self.code]
 
 
@@ -194,8 +195,8 @@ class ForwardResult(_Judged):
     """Poses from actuated positions.
 
     Attributes:
-        poses: Of the tool, nan where there is none.
-        plate: Of the plate; for a robot without one the tool's again.
+        poses: Poses of the tool, nan without a solution.
+        plate: Poses of the plate; for a robot without a plate, those of the tool.
         code: Index into `REASONS` (N,).
     """
 
@@ -209,14 +210,15 @@ class InverseResult(_Judged):
     """Actuated positions from poses.
 
     Attributes:
-        q: (N, na) [m or rad], nan where there are none.
+        q: Actuated positions (N, na) [m or rad], nan without a solution.
         code: Index into `REASONS` (N,).
-        position_error: How far the tool is from the pose asked for (N,) [m]; nan without positions.
-        orientation_error: By which angle it is turned from it (N,) [rad]; more than rounding only where the robot has too few
-            freedoms for the orientation asked for.
-        culprit: Actuated joints to blame, '' for none (N,).
+        position_error: Distance of the tool from the requested pose (N,) [m]; nan without positions.
+        orientation_error: Angle between the tool and the requested pose (N,) [rad]; above rounding only if the robot has too
+            few degrees of freedom for that orientation.
+        culprit: Actuated joints that caused the failure, '' without one (N,).
         unlimited: Positions before joint limits were looked at (N, na).
-        rotation: Rotation that the tool takes there (N, 3, 3), the one asked for where the robot can; nan without `unlimited`.
+        rotation: Rotation that the tool takes there (N, 3, 3), the requested one if the robot can reach it; nan without
+            `unlimited`.
     """
 
     q: np.ndarray
@@ -250,7 +252,7 @@ def unwind_turns(q: np.ndarray, turns: np.ndarray, lower: np.ndarray, upper: np.
     """Return positions (N, na) with those outside their limits moved by a whole turn where that fits.
 
     Args:
-        q: Positions (N, na) [m or rad], nan where there are none.
+        q: Positions (N, na) [m or rad], nan without a solution.
         turns: Which of the joints are turns that may be moved (na,).
         lower: Lower limits (na,).
         upper: Upper limits (na,).

@@ -1,4 +1,4 @@
-r"""Legs read from a robot's tree: which body is the plate, which links are rods, between which points.
+r"""Read the legs from a robot's tree: the plate, the rods and their end points.
 
 The plate hangs on the world by passive joints alone (three slides: it translates; six freedoms), or on one of its own legs:
 then the tool's body is the plate and the path to it is a leg like the others. A leg hangs on an actuated chain, the world or
@@ -8,8 +8,8 @@ the plate by passive turns through one point, and is tied at its other end by a 
     one turn (a triangle)     two distances, from two points of its axis: the ball moves on a circle, where two spheres meet;
     an actuated slide after   the distance grows with the slide (a leg of the Stewart platform, a telescopic arm).
 
-Of a planar leg, whose ends are parallel hinges, the far one counts as a ball; the other legs' circles keep the plate's plane.
-Where rods meet in the tool and nothing else holds it (a five-bar), the plate is that point and the tool turns with its rod.
+The far hinge of a planar leg, whose ends are parallel hinges, counts as a ball; the other legs' circles keep the plate's plane.
+If rods meet in the tool and hold it alone (a five-bar), the plate is that point and the tool turns with its rod.
 Everything is seen at home, where the loops are closed. Reference: thesis (4.3), (4.4), section 2.2; Merlet 2006, ch. 2.
 """
 
@@ -41,14 +41,14 @@ class RodFound:
     """One distance.
 
     Attributes:
-        name: Of the rod.
+        name: Name of the rod.
         carrier: Joint of the chain that carries A, 0 for the world.
         base: A in that joint's frame (3,) [m].
         plate: B in the plate's frame (3,) [m].
-        length: At home's positions but with the leg's slide at zero [m].
-        slide: Joint of an actuated slide in the rod, 0 for none.
+        length: Length at home's positions, but with the leg's slide at zero [m].
+        slide: Joint of an actuated slide in the rod, 0 without a slide.
         offset: How far the slide's line misses the rod's first point [m].
-        gain: 1 where the slide lengthens the rod, -1 where it shortens it.
+        gain: 1 if the slide lengthens the rod, -1 if it shortens it.
     """
 
     name: str
@@ -88,7 +88,7 @@ def recognise(robot: Robot) -> Found:
     """Read plate and rods from a robot's tree.
 
     Raises:
-        NotRods: The mechanism is of another kind; the message says what does not fit.
+        NotRods: The mechanism is of another kind; the message names the mismatch.
         LoopClosureError: The loops cannot be closed at home.
     """
     if not robot.loops:
@@ -108,7 +108,7 @@ def recognise(robot: Robot) -> Found:
 
 
 def _checked(robot: Robot, tree: _Tree, found: Found) -> Found:
-    """Return what was found with rods named apart; refuse what they do not hold."""
+    """Return the result with distinct rod names; refuse a plate that the rods do not hold."""
     rods = _renamed(list(found.rods))
     moved = {j for rod in rods for j in (*tree.path(rod.carrier), rod.slide)}
     idle = [name for name, joint in zip(robot.actuated, tree.actuated, strict=True) if joint not in moved]
@@ -158,7 +158,7 @@ class _Tree:
         return common[-1]
 
     def check_plate(self, plate: int) -> bool:
-        """Return whether the plate translates only; refuse what is neither that nor free."""
+        """Return whether the plate translates only; refuse a plate that neither translates only nor is free."""
         joints = [self.model.joints[j] for j in self.path(plate)]
         columns = [np.arange(j.idx_v, j.idx_v + j.nv) for j in joints]
         J = np.reshape(self.data.J, (6, -1))[:, np.concatenate(columns)]
@@ -195,7 +195,7 @@ class _Tree:
         return Found(rods, plate, False, home, tool, rerooted=True)
 
     def point(self, plate: int) -> Found | None:
-        """Return a plate that is one point, where rods alone meet in the tool; None where they do not."""
+        """Return a plate that is one point, if rods alone meet in the tool; None if they do not."""
         frames = [self.model.frames[f] for loop in self.robot.loops for f in (loop.frame_a, loop.frame_b)]
         tool = self.model.frames[self.robot.tool_frame]
         tip = (self.data.oMi[plate] * tool.placement).translation
@@ -207,7 +207,7 @@ class _Tree:
         for end in ends:
             joints = self._between(end, -1)
             if joints[-1] in self.actuated or (end == plate and len(joints) > 1):
-                return None  # it is not said how long the rod is, or how the tool turns
+                return None  # the length of the rod, or the rotation of the tool, is not determined
             own = self._rows(self._name(end), joints, 0, (int(self.model.parents[joints[0]]), None), (plate, tip))
             if len(own) + len(rods) > 3 and len(own) == 2:  # the tool stays in the first rod's plane
                 both = np.array([rod.base for rod in own])
@@ -281,7 +281,7 @@ class _Tree:
         return column[3:], self.data.oMi[joint].translation
 
     def _meet(self, joints: list[int]) -> np.ndarray | None:
-        """Return the point in which turns meet, of one turn its joint's origin; None where they do not."""
+        """Return the point in which turns meet, for one turn its joint's origin; None if they do not."""
         lines = [self._line(j) for j in joints]
         if len(lines) == 1:
             return lines[0][1]
@@ -301,11 +301,11 @@ class _Tree:
         """Return the distances of a rod with a ball at one end and turns at the other.
 
         Args:
-            name: Of the rod.
+            name: Name of the rod.
             joints: The turns.
-            slide: An actuated slide between them and the ball, 0 for none.
-            near: The joint that carries the driven end, and the ball where it is there.
-            far: The plate's joint, and the ball where it is there.
+            slide: An actuated slide between them and the ball, 0 without a slide.
+            near: The joint that carries the driven end, and the ball if it is at that end.
+            far: The plate's joint, and the ball if it is at the plate.
         """
         ball = far[1] if near[1] is None else near[1]
         assert ball is not None
@@ -368,9 +368,7 @@ class _Tree:
         d = d - axis * self.q[item.idx_q]
         offset = float(np.linalg.norm(d - axis * (axis @ d)))
         if gain * (axis @ d) < -_MEET:
-            raise NotRods(
-                f"{self.robot.source}: slide '{self.model.names[slide]}' at zero stands behind its rod's hinge"
-            )
+            raise NotRods(f"{self.robot.source}: slide '{self.model.names[slide]}' at zero is behind its rod's hinge")
         return float(np.linalg.norm(d)), offset if offset > _MEET else 0.0, gain
 
     def _name(self, joint: int) -> str:

@@ -5,12 +5,12 @@ of the plate, linear and angular in world axes, changes `f` by `-(d_k . x + (r_k
 
     [d_k, r_k x d_k] (x, w) = f,   T <- T + x,   R <- Exp(w) R
 
-without angles, hence without singular orientations (thesis (4.14), (4.33); Merlet 2006, ch. 4).
+without angles and so without singular orientations (thesis (4.14), (4.33); Merlet 2006, ch. 4).
 
 Parameters: `<rod>.length`, `<rod>.base_x` (A in the frame of the link that carries it), `<rod>.plate_x` (B in the plate's
 frame), `<joint>.origin_x` and `<joint>.direction_x` of an actuated slide, `<joint>.axis_x` of an actuated turn, both in the
 parent's frame; a direction's or axis' length is the drive's gain (thesis, section 5.4). A simplified Gantry-Tau has instead,
-arm by arm, `<arm>.length`, `.origin_x`, `.direction_x`: what its plate and cart joints add is part of the origin (thesis
+arm by arm, `<arm>.length`, `.origin_x`, `.direction_x`: the offsets of its plate and cart joints are part of the origin (thesis
 (4.7)). A slide in a rod lengthens it: `length` is then the length with the slide at zero.
 """
 
@@ -116,14 +116,14 @@ class SixRods:
         self._plan = Elimination.plan(pattern, reference) if np.linalg.cond(reference) < 1e8 else None
 
     def factor(self, at: Rows) -> Factor | None:
-        """Return the factors, or None where there is no plan."""
+        """Return the factors, or None without a plan."""
         if self._plan is None:
             return None
         entries = {(k, c): (at.d[k][c] if c < 3 else at.moment[k][c - 3]) for k in range(6) for c in range(6)}
         return self._plan.factor(entries)
 
     def accurate(self, at: Rows, b: np.ndarray) -> np.ndarray:
-        """Return the twists (6, ..., N), each sample checked for what elimination left."""
+        """Return the twists (6, ..., N), each sample checked for the residual of elimination."""
         factor = self.factor(at)
         if factor is None:
             return solve_with_lapack(build_dense(at), b)
@@ -147,14 +147,14 @@ class RodDimensions:
     """A rod robot's geometry.
 
     Attributes:
-        names: Of the rods.
+        names: Names of the rods.
         joints: Actuated joints of the chains.
         carried: Points A.
-        lengths: (n,) [m]; of a rod with a slide, at the slide's zero.
+        lengths: Lengths (n,) [m]; for a rod with a slide, at the slide's zero.
         on_plate: Points B in the plate's frame (n, 3) [m].
-        slides: Actuator of the slide in each rod (n,), -1 for none.
+        slides: Actuator of the slide in each rod (n,), -1 without a slide.
         offsets: How far the slide's line misses A (n,) [m].
-        gains: How much the slide lengthens the rod per reading of its drive (n,): 1, or -1 where it shortens it, times its scale.
+        gains: How much the slide lengthens the rod per reading of its drive (n,): 1, or -1 if it shortens it, times its scale.
         arms: Names of the arms of a simplified Gantry-Tau, in the rods' order, else empty.
     """
 
@@ -241,7 +241,7 @@ def compute_gap_columns(
         q: Actuated positions (na, N).
         places: Points A (n, 3, N) [m].
         unit: Directions from B to A (n, 3, N).
-        plate_rotation: Of the plate (3, 3, N).
+        plate_rotation: Rotation of the plate (3, 3, N).
     """
     found: dict[tuple[int, str], np.ndarray] = {}
     for k, name in enumerate(numbers.names):
@@ -325,7 +325,7 @@ def _along(numbers: RodDimensions, k: int) -> float:
 
 
 def _reach(numbers: RodDimensions, k: int, q: np.ndarray) -> np.ndarray:
-    """Return how far a rod with a slide in it goes along the slide (N,) [m]."""
+    """Return the extent along the slide of a rod that contains a slide (N,) [m]."""
     return _along(numbers, k) + numbers.gains[k] * q[numbers.slides[k]]
 
 

@@ -23,7 +23,7 @@ from tau_dyn.mechanism.poses import (
     measure_turns,
 )
 
-_AGREE = 1e-9  # [m] what a rod may lack when its chain was solved by another one
+_AGREE = 1e-9  # [m] largest gap of a rod when its chain was solved by another one
 _WAY = 0.1  # steps from home for chains of several actuators, of the rods' length or rad
 
 
@@ -31,7 +31,7 @@ class RodInverse:
     """Inverse kinematics of one robot of rods."""
 
     def __init__(self, rods: Legs, commanded: Callable[[], CommandedCoordinates]) -> None:
-        """Split the robot into chains; what is commanded matters where the plate cannot take every pose."""
+        """Split the robot into chains; `commanded` is used if the plate cannot take every pose."""
         self.rods, self.chains = rods, build_chains(rods)
         whole = rods.translates or rods.na == 6
         self.separate = whole and all(isinstance(c, RootChain) or len(c.rods) == len(c.actuators) for c in self.chains)
@@ -78,7 +78,7 @@ class RodInverse:
             tool: Poses wanted.
             signs: The configuration.
             start: Positions (N, na) from which chains without a closed form are searched.
-            home: Whether what lies beyond a parallel singularity from home is refused.
+            home: Whether poses beyond a parallel singularity, seen from home, are refused.
         """
         wanted = self._held(tool)
         if self.manifold is not None:

@@ -8,13 +8,14 @@ Joint 6 leaves its own axis in place: a point `p` on it and its direction `l` gi
 
     p,   l,   p x l,   (p . p) l - 2 (p . l) p,   p . p,   p . l
 
-whose right sides are linear in eight products of sines and cosines of `q_1`, `q_2`. What is orthogonal to those leaves six
-equations in the nine products of `q_4`, `q_5`, linear in the sine and cosine of `q_3`. Here all are written in `w = exp(i q)`:
-real angles lie on the unit circle, `q = pi` is a point like any other, and the factor `(1 + x^2)^4` of the half-angle form
-lies at 0 and infinity. The equations and those times `w_4` are a matrix polynomial of 12 rows, `(A w^2 + B w + C) m = 0`, with
-24 eigenvalues (Manocha & Canny 1994). Where it is regular, every solution is among them; the rest is bookkeeping: each
-eigenvalue that may lie on the circle must give its solutions or show that it has none. Any joint may be taken as the third:
-the loop has no first joint, and where special axes make one polynomial singular another is regular.
+whose right sides are linear in eight products of sines and cosines of `q_1`, `q_2`. The orthogonal complement of those leaves
+six equations in the nine products of `q_4`, `q_5`, linear in the sine and cosine of `q_3`. Here all are written in
+`w = exp(i q)`: real angles lie on the unit circle, `q = pi` needs no special case, and the factor `(1 + x^2)^4` of the
+half-angle form has its roots at 0 and infinity. The equations and those times `w_4` are a matrix polynomial of 12 rows,
+`(A w^2 + B w + C) m = 0`, with 24 eigenvalues (Manocha & Canny 1994). Where it is regular, every solution is among them; the
+rest is bookkeeping: each eigenvalue that may lie on the circle must give its solutions or be shown to have no solution. Any
+joint may be taken as the third: the loop has no first joint, and where special axes make one polynomial singular another is
+regular.
 """
 
 from __future__ import annotations
@@ -28,16 +29,16 @@ _ANGLES = 2 * np.pi / 3 * np.arange(3)  # [rad] where functions of harmonics -1,
 _ORDER = [2, 0, 1]  # of the discrete Fourier transform, so that harmonics run from -1 to 1
 _RANK = 1e-7  # singular values below this, relative to the largest, are those of axes that are special up to a file's digits
 _REGULAR = 1e6  # smallest singular value at a random w by the coefficients' error; less is singular
-_NULL, _NOT_NULL = 1e-7, 1e-5  # singular values, relative to the largest, of solutions and of none; between: doubt
+_NULL, _NOT_NULL = 1e-7, 1e-5  # relative singular values: below, a solution; above, no solution; between, doubt
 _EXACT = 1e-12  # error of the coefficients up to which eigenvalues prove anything
-_SHARP = 1e4  # times the coefficients' error: what lets products be told from noise to 1e-4
-_BAND = 1e-4  # of log |w|: what is nearer to the circle must be explained; rounding moves simple roots by 1e-10
+_SHARP = 1e4  # times the coefficients' error: separates products from noise to 1e-4
+_BAND = 1e-4  # of log |w|: eigenvalues nearer to the circle must be explained; rounding moves simple roots by 1e-10
 _TOGETHER = 1e-6  # eigenvalues nearer to each other are looked at together
 _ROUNDING = 1e-13  # of the polynomial relative to its size, from which an eigenvalue's error follows
-_SPREAD = 1e8  # condition number above which directions of a null space are not told apart
+_SPREAD = 1e8  # condition number above which directions of a null space cannot be separated
 _PRODUCT_TOLERANCE = 1e-5  # relative error by which products of a null space may miss being such
 _POINT = 1e-9  # [m] lengths of an arm whose axes all meet
-_OPEN = 1e-2  # of a loop relative to the arm's size: what candidates of real solutions do not leave open
+_OPEN = 1e-2  # of a loop relative to the arm's size: larger gaps exclude candidates of real solutions
 _ONE_EQUATION = 1e-4  # singular value relative to the largest; less, and an equation's rounding is too much to use it
 _ON_AXIS = [2, 5, 8, 11, 12, 13]  # of the 14 numbers, those that a turn about z leaves
 
@@ -46,12 +47,12 @@ MAX_SOLUTIONS = 16
 
 
 class Candidates(NamedTuple):
-    """What one elimination gives.
+    """The result of one elimination.
 
     Attributes:
         q: Rows of angles near all real solutions (m, 6) [rad]; two may lead to the same one.
         needed: Number of real solutions below which some are missing.
-        doubt: Why the rows may not be all, '' where they are.
+        doubt: Why solutions may be missing, '' if the rows are complete.
     """
 
     q: np.ndarray
@@ -60,15 +61,15 @@ class Candidates(NamedTuple):
 
 
 class _Polynomial(NamedTuple):
-    """Coefficients of w^0, w^1, w^2 with joint `first + 3` third.
+    """Coefficients of w^0, w^1, w^2 with joint `first + 3` as the third.
 
     Attributes:
         first: Index of the joint that is taken as the first.
         G: Placements from there (6, 4, 4), lengths relative to the longest.
-        tall: Of all equations (3, rows, 12).
-        square: Of twelve combinations of them (3, 12, 12).
-        error: Of the coefficients, relative to their size.
-        regular: Smallest singular value relative to the largest; zero of a singular polynomial.
+        tall: Coefficients of all equations (3, rows, 12).
+        square: Coefficients of twelve combinations of them (3, 12, 12).
+        error: Error of the coefficients, relative to their size.
+        regular: Smallest singular value relative to the largest; zero for a singular polynomial.
     """
 
     first: int
@@ -165,7 +166,7 @@ def _invariants(X: np.ndarray) -> np.ndarray:
 
 
 def _find_on_circle(P: _Polynomial) -> tuple[list[tuple[complex, int]], str]:
-    """Return eigenvalues near the unit circle with how often each stands, and a doubt about the others."""
+    """Return eigenvalues near the unit circle with the multiplicity of each, and a doubt about the others."""
     from scipy.linalg import eig
 
     zero, one, C = np.zeros((12, 12)), np.eye(12), P.square
@@ -183,7 +184,7 @@ def _find_on_circle(P: _Polynomial) -> tuple[list[tuple[complex, int]], str]:
         near = [x for x in left if abs(x - left[0]) < _TOGETHER]
         left = [x for x in left if abs(x - left[0]) >= _TOGETHER]
         groups.append((complex(np.mean(near)), len(near)))
-    return groups, "an eigenvalue is too sensitive to be told from a real one" if unclear.any() else ""
+    return groups, "an eigenvalue is too sensitive to be separated from a real one" if unclear.any() else ""
 
 
 def _solve_products(P: np.ndarray, multiplicity: int, error: float) -> tuple[list[tuple[complex, complex]], str]:
@@ -198,19 +199,19 @@ def _solve_products(P: np.ndarray, multiplicity: int, error: float) -> tuple[lis
     if n == 0:
         return [], doubt
     N = vh[-n:].conj().T.reshape(4, 3, n)
-    a, b, c, d, mix = np.exp(1j * np.array([0.4, 2.9, 1.3, 5.2, 0.9]))  # no solution lies at 0 of c w + d
+    a, b, c, d, mix = np.exp(1j * np.array([0.4, 2.9, 1.3, 5.2, 0.9]))  # no solution is at the root of c w + d
     whole = np.zeros((n, n), complex)
     for low, high, share in ((N[:-1], N[1:], 1.0), (N[:, :-1], N[:, 1:], mix)):
         over, under = (a * high + b * low).reshape(-1, n), (0.7 * c * high + d * low).reshape(-1, n)
         if np.linalg.cond(under) > _SPREAD:
-            return [], "solutions of one angle are not told apart"
+            return [], "solutions of one angle are not separated"
         scaled = np.linalg.lstsq(under, over, rcond=None)[0]
         if n > 1 and np.abs(under @ scaled - over).max() > _PRODUCT_TOLERANCE:
             doubt = doubt or "an eigenvalue's null space is not made of solutions"
         whole += share * scaled
     _, vectors = np.linalg.eig(whole)
     if np.linalg.cond(vectors) > _SPREAD:
-        doubt = doubt or "solutions of one angle are not told apart"
+        doubt = doubt or "solutions of one angle are not separated"
     pairs = []
     for k in range(n):
         m = (N @ vectors[:, k]) / np.linalg.norm(N @ vectors[:, k])
@@ -223,9 +224,9 @@ def _solve_products(P: np.ndarray, multiplicity: int, error: float) -> tuple[lis
 
 
 def _complete(G: np.ndarray, q345: np.ndarray) -> tuple[list[np.ndarray], str]:
-    """Return rows of six angles with these of joints 3 to 5, none where joint 2's angle is complex, and a doubt.
+    """Return rows of six angles with these of joints 3 to 5, no rows if joint 2's angle is complex, and a doubt.
 
-    What joint 1 leaves in place is linear in the cosine and sine of joint 2's angle.
+    The components that joint 1 leaves in place are linear in the cosine and sine of joint 2's angle.
     """
     R3, R4, R5 = _turn(q345)
     tail = G[2] @ R3 @ G[3] @ R4 @ G[4] @ R5 @ G[5]
@@ -247,7 +248,7 @@ def _complete(G: np.ndarray, q345: np.ndarray) -> tuple[list[np.ndarray], str]:
     for cosine, sine in seconds:
         q2 = np.arctan2(sine, cosine)
         here, there = G[1] @ _turn(q2) @ tail, np.linalg.inv(G[0])
-        # R_1 here R_6 = there: joint 1 from directions and points of joint 6's axis, joint 6 from what is left
+        # R_1 here R_6 = there: joint 1 from directions and points of joint 6's axis, joint 6 from the remaining rotation
         a, b = (_plane(X) for X in (here, there))
         q1 = np.angle(np.vdot(a, b))
         last = (_turn(q1) @ here)[:3, :3].T @ there[:3, :3]

@@ -1,9 +1,9 @@
 """The closed form of a plate that only translates: three spheres. Samples last.
 
 A plate that keeps its rotation ends each rod at `T + r_k` with constant `r_k`, and `|A_k - r_k - T| = L_k`: three spheres
-(thesis (4.9); Coope 2000), with Gauss-Newton where there are more rods. They meet in two points, mirrored in the plane of the
-centres; `side` says on which side of it the plate is, seen along `(C_2 - C_1) x (C_3 - C_1)`: the thesis' configuration `c`.
-Home's side is taken, since the way from one to the other leads through a singularity.
+(thesis (4.9); Coope 2000), with Gauss-Newton if there are more rods. They meet in two points, mirrored in the plane of the
+centres; `side` gives the side of it on which the plate is, seen along `(C_2 - C_1) x (C_3 - C_1)`: the thesis' configuration
+`c`. Home's side is taken, since the way from one to the other leads through a singularity.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 r"""Many small linear systems at once: inverses and pseudo-inverses, planned elimination, closing with least motion.
 
-Pseudo-inverses scale columns to length one first, since angles and lengths stand side by side (Golub & Van Loan 2013, ch. 5.5).
+Pseudo-inverses scale columns to length one first, since angles and lengths occur together (Golub & Van Loan 2013, ch. 5.5).
 
 A loop's passive Jacobian is sparse, and its pattern is that of the mechanism. So pivots are chosen once, by Markowitz' count
 among entries that are large at a reference sample, and every step is an operation on N numbers; LAPACK on each little matrix
-takes ten times as long. Pivots that suit the reference may not suit a sample: `residual` tells, and the caller then solves
-those otherwise (Duff, Erisman & Reid 2017).
+takes ten times as long. Pivots that suit the reference may not suit a sample: `residual` shows it, and the caller then solves
+those samples by another method (Duff, Erisman & Reid 2017).
 
 Newton's step of an underdetermined problem closes first, then turns, then moves no more than needed,
 
@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 ILL = 1e8
 """Conditioning above which an inverse comes from singular values."""
 _ROUNDING = 1e-10
-"""Singular values and columns smaller than this beside the largest are rounding."""
+"""Singular values and columns smaller than this, relative to the largest, are rounding."""
 
 
 def invert_matrix(J: np.ndarray) -> np.ndarray:
@@ -93,7 +93,7 @@ def measure_rank_distance(matrices: np.ndarray) -> np.ndarray:
 
 
 def solve_with_lapack(matrices: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return least-squares solutions (c, ..., N) of matrices (N, n, c) and right sides (n, ..., N); nan where there is none."""
+    """Return least-squares solutions (c, ..., N) of matrices (N, n, c) and right sides (n, ..., N); nan without a solution."""
     sides = np.moveaxis(b.reshape(len(b), -1, b.shape[-1]), 2, 0)
     out = np.full((len(matrices), matrices.shape[2], sides.shape[2]), np.nan)
     sound = np.flatnonzero(np.isfinite(matrices).all(axis=(1, 2)) & np.isfinite(sides).all(axis=(1, 2)))
@@ -132,7 +132,7 @@ class Elimination:
 
     @classmethod
     def plan(cls, pattern: set[tuple[int, int]], reference: np.ndarray) -> Elimination | None:
-        """Choose pivots for a pattern at a reference matrix (n, n); None where it is singular or not square."""
+        """Choose pivots for a pattern at a reference matrix (n, n); None if it is singular or not square."""
         if reference.shape[0] != reference.shape[1]:
             return None
         size = len(reference)
@@ -243,11 +243,11 @@ def solve_least_motion_step(
     Args:
         C: Derivatives of the closure (N, n, m).
         gap: Closure (N, n).
-        turning: Derivatives `T` of the tool's rotation (N, 3, m), or of nothing (N, 0, m).
-        turn: Rotation `t` that is left (N, 3 or 0) [rad].
-        weight: What motion costs (m,), or (N, m or 1), small beside 1; 0 where `T` sees all of it.
-        pull: Motion `p` that costs nothing (N, m).
-        softness: Square root of what lost rows are worth beside the others.
+        turning: Derivatives `T` of the tool's rotation (N, 3, m), or empty (N, 0, m).
+        turn: Remaining rotation `t` (N, 3 or 0) [rad].
+        weight: Cost of motion (m,), or (N, m or 1), small compared with 1; 0 if `T` depends on all of the motion.
+        pull: Motion `p` without cost (N, m).
+        softness: Square root of the weight of lost rows relative to the others.
     """
     n, rows, m = C.shape
     K = np.zeros((n, m + rows, m + rows))
@@ -264,7 +264,7 @@ def solve_least_motion_step(
 
 
 def solve_with_pseudo_inverse(K: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Return `K^-1 b` (N, m); of a singular matrix what its pseudo-inverse gives, nan where numbers are missing."""
+    """Return `K^-1 b` (N, m); for a singular matrix by its pseudo-inverse; nan where numbers are missing."""
     out = np.full(right.shape, np.nan)
     sound = np.isfinite(K).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
     K, right = (K, right) if sound.all() else (K[sound], right[sound])
@@ -285,9 +285,9 @@ class NewtonRules(NamedTuple):
         rounds: Most steps.
         patience: Rounds without a smaller gap after which a sample is given up.
         step: Largest step, in the steps' own measure.
-        closed: Gap [m] of what is closed.
-        still: Size of the step from what counts as closed.
-        done: Size of a step behind which there is rounding alone.
+        closed: Largest gap [m] that counts as closed.
+        still: Largest next step of a sample that counts as closed.
+        done: Size of a step below which there is only rounding.
     """
 
     rounds: int
@@ -298,7 +298,7 @@ class NewtonRules(NamedTuple):
     done: float = 1e-13
 
     def roughly(self, rounds: int, closed: float) -> NewtonRules:
-        """Return the rules on a way: few rounds, and what is nearly closed is good enough."""
+        """Return the rules for intermediate points of a path: few rounds and a larger gap."""
         return self._replace(rounds=rounds, closed=closed, still=np.inf)
 
 
@@ -313,7 +313,8 @@ def iterate_newton(
 
     Args:
         sound: Which samples have numbers (N,).
-        advance: From samples' indices (k,) to their gaps (k,), the sizes of their next steps (k,), and what takes them.
+        advance: Function of samples' indices (k,) that returns their gaps (k,), the sizes of their next steps (k,), and a
+            function that takes the steps.
         rules: When a sample is done.
 
     Returns:
@@ -341,24 +342,24 @@ def iterate_newton(
 _KEPT = 200_000  # cells kept at most
 
 Learn = Callable[[np.ndarray], Iterable[tuple[np.ndarray, ...]]]
-"""From cells' numbers (n, na) to what is kept of each."""
+"""Computes the stored results of cells from their numbers (n, na)."""
 
 Known = dict[tuple[int, ...], tuple[np.ndarray, ...]]
-"""Cells' numbers -> what is kept of each."""
+"""Cells' numbers -> stored results of each."""
 
 
 class CellStarts:
-    """Starts of Newton's method that depend on a sample's own positions alone: what was found at the middle of its cell.
+    """Starts of Newton's method that depend on a sample's own positions alone: the solution at the middle of its cell.
 
     The space of actuated positions is cut into cells. Their middles are walked to from home in small steps, which selects home's
-    assembly mode, and are kept with the slope there. In which order, block or process samples come changes nothing.
+    assembly mode, and are kept with the slope there. The order, block or process of the samples has no influence.
     """
 
     def __init__(self, size: np.ndarray, most: int, learn: Learn, known: Known | None = None) -> None:
-        """Start with those that are known, or with none; what is learnt is added to them.
+        """Start with the known cells, or without cells; new cells are added to them.
 
         Args:
-            size: Of a cell, one an actuator (na,) [m or rad].
+            size: Size of a cell for each actuator (na,) [m or rad].
             most: Cells from home beyond which positions are taken for a mistake of units; `learn` gives nan there.
             learn: Walks to the middles of new cells.
             known: Cells by their numbers.
@@ -367,7 +368,7 @@ class CellStarts:
         self._known: Known = {} if known is None else known
 
     def find(self, away: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return the cells' middles and what is kept of them, samples last, at distances from home (na, N)."""
+        """Return the cells' middles and their stored results, samples last, at distances from home (na, N)."""
         index = np.round(away / self.size[:, None])
         whole = np.where(np.abs(index) <= self._most, index, self._most + 1).astype(np.int64)
         names, which = _find_unique_columns(whole)

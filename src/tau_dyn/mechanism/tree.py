@@ -6,7 +6,7 @@ The regressor is Pinocchio's, projected by `G` and mapped to `robot.parameters`.
 inertia; its torque regressor does not, so we append those columns. Reference: Khalil & Dombre 2002, ch. 7 and 10.
 
 Forces inside come from the same virtual work: no drive holds the passive joints, so the loops' forces `lambda` do,
-`J_p' lambda = tau_p`; with them in place a recursion over the tree gives what each joint carries.
+`J_p' lambda = tau_p`; with them in place a recursion over the tree gives the load of each joint.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class SamplewiseTree(Mechanism):
     def cart_sensitivity(self, q: np.ndarray) -> np.ndarray:
         """Return the tool's displacement per link's displacement (N, 3, na, 3); see `Mechanism.cart_sensitivity`.
 
-        A shifted link carries all that hangs on it along; what gap that leaves in the loops the passive joints close.
+        A shifted link carries all bodies that hang on it; the passive joints close the gaps that this causes in the loops.
         """
         (q,) = self._checked(q)
         passive, n_loops = self.solver.passive_v, len(self.robot.loops)
@@ -141,7 +141,7 @@ class SamplewiseTree(Mechanism):
         return out
 
     def guide_load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Return what each joint's guide carries (N, na); see `Mechanism.guide_load`."""
+        """Return the load of each joint's guide (N, na); see `Mechanism.guide_load`."""
         q, v, a = self._checked(q, v, a)
         load = np.sqrt(np.sum(self.guide_force(q, v, a) ** 2, axis=2))
         hinges = [k for k in range(self.robot.na) if k not in self._sliding]
@@ -197,7 +197,7 @@ class SamplewiseTree(Mechanism):
         return np.linalg.lstsq(jacobian.T, tau[passive], rcond=1e-10)[0].reshape(-1, 3)
 
     def _across(self, i: int, pulls: np.ndarray) -> np.ndarray:
-        """Return the force (3,) across a slide's axis that lies beyond its own link, after `rnea`; loops pull (loops, 3)."""
+        """Return the force (3,) across a slide's axis from beyond its own link, after `rnea`, with loop forces (loops, 3)."""
         model, data, joint = self.model, self.data, self.model.getJointId(self.robot.actuated[i])
         beyond = self._carried_by()[1][i] @ pulls
         for child in (c for c in range(1, model.njoints) if model.parents[c] == joint):
@@ -209,7 +209,7 @@ class SamplewiseTree(Mechanism):
         return beyond - (beyond @ axis) * axis
 
     def _refuse_free_motion(self) -> None:
-        """Refuse a mechanism whose passive joints could move by themselves; a rod's spin, which nothing drives, is fine."""
+        """Refuse a mechanism whose passive joints could move by themselves; a rod's spin, which is not driven, is accepted."""
         free = self.solver.free_motions()
         if not free.size:
             return
@@ -236,7 +236,7 @@ class SamplewiseTree(Mechanism):
         return blocks
 
     def _extra(self, q: np.ndarray) -> np.ndarray:
-        """Return the tree forces of mass that only gravity feels (nv,)."""
+        """Return the tree forces of mass that only gravity acts on (nv,)."""
         return sum((weight.mass * self._hold(q, weight) for weight in self._weights), np.zeros(self.model.nv))
 
     def _hold(self, q: np.ndarray, weight: Weight) -> np.ndarray:
@@ -248,11 +248,11 @@ class SamplewiseTree(Mechanism):
 
 
 class LoadedTree(BatchedTree):
-    """Batched dynamics, and what joints carry inside a mechanism: forces across guideways, and how bearings turn.
+    """Batched dynamics, and internal loads of a mechanism: forces across guideways, and the rotation of bearings.
 
-    No drive holds the passive joints, so the loops' forces `lambda` do: `J_p' lambda = tau_p`, where `tau_p` are the forces that
-    the open tree would need there. What everything beyond a slide's own link puts on that link is then the loops' pulls on its
-    subtree less what accelerates and carries the bodies behind it. Moments do not pass into it.
+    No drive holds the passive joints, so the loops' forces `lambda` do: `J_p' lambda = tau_p`, where `tau_p` are the forces
+    that the open tree would need there. The force of all bodies beyond a slide's own link on that link is then the loops'
+    forces on its subtree minus the forces that accelerate and carry the bodies beyond it. Moments do not enter it.
     """
 
     def __init__(self, robot: Robot, solver: LoopSolver, joints: list[Joint]) -> None:
@@ -326,9 +326,9 @@ _inverse_dynamics, _inertia = _by_number("inverse_dynamics"), _by_number("inerti
 class TreeMechanism(SamplewiseTree):
     """Dynamics of a tree with loops.
 
-    A controller and a simulator ask for one sample at a time, which Pinocchio answers 50 times as fast as arrays do; of two
-    thousand samples arrays are three to six times as fast. Trees with joints of more than one degree of freedom know one by one
-    alone. Both give the same numbers.
+    A controller and a simulator need one sample at a time, for which Pinocchio is 50 times as fast as arrays; for two thousand
+    samples arrays are three to six times as fast. Trees with joints of more than one degree of freedom are computed one by one.
+    Both give the same numbers.
     """
 
     regressor = _by_number("regressor")
@@ -356,7 +356,7 @@ class TreeMechanism(SamplewiseTree):
         return np.ascontiguousarray((share.T @ tree.reshape(x.shape)).T)
 
     def weight_arms(self, q: np.ndarray) -> WeightArms:
-        """Return what gravity is multiplied by at actuated positions (N, na): forces at rest, body by body.
+        """Return the factors of gravity at actuated positions (N, na): forces at rest, body by body.
 
         Raises:
             InputError: The robot has a joint of several freedoms.
@@ -380,10 +380,10 @@ class TreeMechanism(SamplewiseTree):
 
 
 def build_mechanism(robot: Robot) -> Mechanism:
-    """Return the fastest exact dynamics for a robot: the closed form where its file declares one that holds, else Pinocchio.
+    """Return the fastest exact dynamics for a robot: the closed form if its file declares a valid one, else Pinocchio.
 
-    It holds where rods are slender, sit on the carts' origins and follow their masses; one sample near home shows it. Dynamics
-    remember the last closure, so every call makes its own; its kinematics are kept beside the robot (`build_kinematics`).
+    It is valid if rods are slender, start at the carts' origins and follow their masses; one sample near home is checked.
+    Dynamics keep the last closure, so every call makes its own; the kinematics are cached for the robot (`build_kinematics`).
 
     Example:
         >>> mechanism = td.build_mechanism(td.load_robot("linear_axis"))

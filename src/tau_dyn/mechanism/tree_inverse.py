@@ -26,7 +26,7 @@ _STARTS = 24  # starts drawn within the limits
 _MAX_STARTS = 1500  # starts until every solution was met often enough; bounds the time of a pose
 _MIN_TIMES_MET = 10  # times that each solution is met before the search ends; with 3 a quarter of UR5 poses lack one
 _STARTS_LOOPS = 2  # closing loops from far away takes its time
-_MOVED = 1e-2  # [rad] by how much Newton's method may move what an elimination gives
+_MOVED = 1e-2  # [rad] largest motion by Newton's method from the result of an elimination
 _SINGULAR = 1e-6  # singular value of the Jacobian relative to the largest; less, and there may be a continuum
 _ELIMINATED = "by elimination to an eigenvalue problem"
 _EQUALITY_TOLERANCE = 1e-6  # [m or rad] closer solutions are one
@@ -56,8 +56,8 @@ def solve_tree_inverse(engine: TreeNewton, poses: Poses, start: np.ndarray | Non
 def find_tree_solutions(engine: TreeNewton, poses: Poses) -> InverseSolutions:
     """Return all solutions, nearest to home first: of six turning joints by elimination, else from many starts.
 
-    Starts are drawn until each solution of each pose was met ten times, or to a limit: the chance of meeting a new one is
-    about the share of those met once (Good 1953). It is no proof that none is left.
+    Starts are drawn until each solution of each pose was met ten times, or to a limit: the probability of a new one is about
+    the share of those met once (Good 1953). This does not prove that all are found.
     """
     robot, n = engine.robot, len(poses.position)
     sets: list[list[np.ndarray]] = [[] for _ in range(n)]
@@ -81,7 +81,7 @@ def find_tree_solutions(engine: TreeNewton, poses: Poses) -> InverseSolutions:
 def _search(
     engine: TreeNewton, poses: Poses, sets: list[list[np.ndarray]], left: np.ndarray, enough: int | None
 ) -> None:
-    """Add to the sets of poses `left` what many starts find; more than `enough` are not looked for."""
+    """Add the solutions found from many starts to the sets of poses `left`; stop at `enough`."""
     robot = engine.robot
     met = [[0] * len(known) for known in sets]
     home = np.repeat(robot.home[None], len(sets), axis=0)
@@ -127,7 +127,7 @@ def _place(rotation: np.ndarray, offset: np.ndarray | None = None) -> np.ndarray
 
 
 def _eliminate(engine: TreeNewton, six: np.ndarray, pose: Poses) -> tuple[list[np.ndarray], str]:
-    """Return the solutions (na,) of one pose that eliminations find, and why they may not be all, '' where they are."""
+    """Return the solutions (na,) of one pose that eliminations find, and why some may be missing, '' if all are found."""
     wanted = _place(pose.rotation[0], pose.position[0])
     G = np.concatenate([(six[6] @ np.linalg.inv(wanted) @ six[0])[None], six[1:6]])
     found: list[np.ndarray] = []
@@ -171,7 +171,7 @@ def _refine(engine: TreeNewton, pose: Poses, angles: np.ndarray) -> tuple[list[n
 
 
 def _index_of(robot: Robot, q: np.ndarray, known: list[np.ndarray]) -> int | None:
-    """Return which of the known solutions positions (na,) are, whole turns apart."""
+    """Return the index of the known solution that equals positions (na,) up to whole turns, or None."""
     return next((i for i, x in enumerate(known) if np.abs(_unwrapped(robot, q - x)).max() <= _EQUALITY_TOLERANCE), None)
 
 
@@ -229,7 +229,7 @@ def _fits(robot: Robot, found: InverseResult, limits: bool) -> np.ndarray:
 
 
 def _put(found: InverseResult, index: np.ndarray, tried: InverseResult, taken: np.ndarray) -> InverseResult:
-    """Return answers with those at an index replaced by what was taken of others."""
+    """Return results with those at `index` replaced by the `taken` results of `tried`."""
     both = {}
     for field in fields(found):
         old, new = getattr(found, field.name), getattr(tried, field.name)

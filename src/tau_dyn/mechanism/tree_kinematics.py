@@ -47,7 +47,7 @@ from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import Robot
 
 _ROUNDING = 1e-10
-"""[m or rad, per m or rad] what is left of a column that is zero."""
+"""[m or rad, per m or rad] rounding in a column that is zero."""
 _UNSEEN = 1e-7
 """Size of a column relative to the largest of its unit below which a parameter does not reach the tool."""
 
@@ -56,9 +56,9 @@ class TreeDimensions:
     """A tree at any values of its geometric parameters.
 
     Attributes:
-        shape: The robot taken apart.
-        parameters: Those of the robot file; what does not reach the tool is not free.
-        knobs: What each parameter does.
+        shape: The robot's tree and its parameters.
+        parameters: Parameters of the robot file; those without effect on the tool are not free.
+        knobs: Effect of each parameter.
     """
 
     def __init__(self, shape: TreeShape) -> None:
@@ -131,7 +131,7 @@ class TreeDimensions:
 
 
 class TreeKinematics(Kinematics):
-    """Kinematics of one tree; see `Kinematics` for what it answers."""
+    """Kinematics of one tree; see `Kinematics` for its methods."""
 
     translates = False
 
@@ -153,7 +153,7 @@ class TreeKinematics(Kinematics):
 
     @cached_property
     def inverse_engine(self) -> TreeNewton:
-        """What solves inverse kinematics."""
+        """Solver of the inverse kinematics."""
         return TreeNewton(self.engine)
 
     @cached_property
@@ -201,7 +201,8 @@ class TreeKinematics(Kinematics):
     ) -> InverseResult:
         if configuration is not None:
             raise InputError(
-                "unsupported", f"{self.robot.source}: has no rods, hence no named configurations; give a start instead"
+                "unsupported",
+                f"{self.robot.source}: has no rods, so it has no named configurations; give a start instead",
             )
         self._require_nominal()
         return solve_tree_inverse(self.inverse_engine, poses, start, limits)
@@ -225,7 +226,7 @@ class TreeKinematics(Kinematics):
         return J, float(np.sqrt(np.mean(levers**2))) if levers.any() else 1.0
 
     def closure(self, q: np.ndarray, poses: Poses) -> np.ndarray:
-        """Return the tool's place [m] and rotation vector [rad] beside these poses (N, 6), as the joints put it."""
+        """Return the tool's position [m] and rotation vector [rad] by the joints, relative to these poses (N, 6)."""
         q = require_positions(self.robot, q)
         here, poses = self.forward(q).poses, self.poses_at(q, poses)
         turn = measure_turns(here.rotation, poses.rotation)

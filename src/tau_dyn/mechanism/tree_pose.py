@@ -1,14 +1,14 @@
-"""The tool of any tree with loops, and Newton on all joints at once: loops and tool closed, orientation as near as it goes.
+"""The tool of any tree with loops, and Newton on all joints at once: loops and tool closed, orientation as close as possible.
 
 The loops are closed at `q` (`loop_arrays.py`) and the tool frame is read off; its Jacobian is `J_tree G`. The inverse solves
 
     J_loops dx = -c,   J_p dx = p_wanted - p,   minimise |J_r dx - log(R_wanted R')|
 
-with `x` the positions of all joints, actuated and passive. No loop is closed for itself on the way, so a pose out of reach
-costs as little as one in reach: its gap stops shrinking and it is given up. Actuators that can move without the tool idle
-towards the start. What motion costs falls with the square of the turn that is left, which keeps convergence quadratic near
-singularities such as a straight elbow. Arrays of joints have samples last. Reference: Siciliano et al. 2009, ch. 3; Yamashita &
-Fukushima 2001.
+with `x` the positions of all joints, actuated and passive. No loop is closed separately during the iteration, so a pose out of
+reach takes no longer than one in reach: its gap stops shrinking and it is given up. Actuators that can move without the tool
+move towards the start. The cost of motion falls with the square of the remaining rotation, which keeps convergence quadratic
+near singularities such as a straight elbow. Arrays of joints have samples last. Reference: Siciliano et al. 2009, ch. 3;
+Yamashita & Fukushima 2001.
 """
 
 from __future__ import annotations
@@ -157,20 +157,20 @@ class TreePose:
 
 _NEWTON_BLOCK = 512  # samples at a time; arrays stay in the processor's cache
 _RULES = NewtonRules(60, 6, 0.4, 1e-10, 1e-6)  # steps of a joint [m or rad], damped far from the solution
-_ROUGH = 1e-2  # [m] what may stay open on a way
+_ROUGH = 1e-2  # [m] gap that may stay open on a way
 _STEPS = 12  # on the way from home
-_DAMPING = 1e-4  # most that a joint's motion costs beside a turn of the tool
+_DAMPING = 1e-4  # largest cost of a joint's motion relative to a rotation of the tool
 _LEAST = 1e-10  # of the same, so that idle motions stay defined
-_SOFT = 1e-6  # its square times what the orientation pulls with is what the closure is off by
+_SOFT = 1e-6  # its square times the pull of the orientation is the error of the closure
 _IDLE = 1e-7  # singular values relative to the largest; less moves no joint
-_NEARBY = 0.05  # [m or rad] from home, where what idles is looked for
+_NEARBY = 0.05  # [m or rad] from home, where idle motions are searched
 
 
 class TreeNewton:
     """Solves one robot."""
 
     def __init__(self, engine: TreePose) -> None:
-        """Find out at home which motions leave the tool where it is."""
+        """Find at home the motions that do not move the tool."""
         self.engine, self.robot = engine, engine.robot
         model = self.robot.model
         self._active, self._scale = self.robot.active_v, self.robot.drive_scale
@@ -178,7 +178,7 @@ class TreeNewton:
         self._rests = np.zeros(0, int) if self.robot.loops else self.robot.passive_v
         self._followers = [model.joints[model.getJointId(j)].idx_v for j in self.robot.mimics]
         self.home = self.close_loops(self.robot.home[None])
-        # home may be singular (a straight wrist), which idles nothing elsewhere: the smallest null space near by counts
+        # home may be singular (a straight wrist) without idle motion elsewhere: the smallest null space near it counts
         near = np.random.default_rng(0).uniform(-_NEARBY, _NEARBY, (6, self.robot.na))
         x = self.close_loops(np.vstack([self.robot.home, self.robot.home + near]))
         at = compute_frames(engine.joints, x[:, np.isfinite(x).all(axis=0)])
@@ -198,9 +198,9 @@ class TreeNewton:
         """Return positions (N, na), codes (N,), errors of position [m] and orientation [rad] (N, 2), the tool's rotations.
 
         Args:
-            poses: Of the tool.
+            poses: Poses of the tool.
             x: All joints' positions to start from (nv, N).
-            toward: Actuated positions (N, na) to idle towards.
+            toward: Actuated positions (N, na) that joints with idle motion approach.
         """
         sound = np.isfinite(poses.position).all(axis=1) & np.isfinite(poses.rotation).all(axis=(1, 2))
         n = len(toward)
@@ -215,7 +215,7 @@ class TreeNewton:
         return q, code, error, rotation
 
     def _found(self, poses: Poses, x: np.ndarray, toward: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return `newton`'s answer; where idling keeps it from coming to rest, the tool is brought there first."""
+        """Return the result of `newton`; if idle motion prevents its convergence, solve for the tool first."""
         found, error = self.newton(poses, x, toward)
         lost = np.flatnonzero(~np.isfinite(found[0])) if self.idle else np.zeros(0, int)
         if lost.size:
@@ -227,7 +227,7 @@ class TreeNewton:
         return found, error
 
     def way(self, poses: Poses) -> np.ndarray:
-        """Return where the straight way from home leads (nv, N); nan where it is barred."""
+        """Return the positions at the end of the straight way from home (nv, N); nan where it is blocked."""
         n, way = len(poses.position), StraightWay(self.engine.pose_at(self.home), poses)
         x, toward = np.repeat(self.home, n, axis=1), np.repeat(self.robot.home[None], n, axis=0)
         for share in np.linspace(0, 1, _STEPS + 1)[1:-1]:
@@ -240,9 +240,9 @@ class TreeNewton:
     def newton(
         self, poses: Poses, x: np.ndarray, toward: np.ndarray | None, rules: NewtonRules = _RULES
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return closed positions (nv, N), nan where there are none, and the tool's errors (N, 2).
+        """Return closed positions (nv, N), nan without a solution, and the tool's errors (N, 2).
 
-        Without `toward` nothing idles.
+        Without `toward` there is no idle motion.
         """
         x, error = x.copy(), np.full((x.shape[1], 2), np.nan)
 
@@ -292,7 +292,7 @@ class TreeNewton:
         return C
 
     def _fold(self, J: np.ndarray) -> np.ndarray:
-        """Return derivatives by all joints (N, m, nv) with followers added to what they follow; none of what rests."""
+        """Return derivatives by all joints (N, m, nv), with followers added to their leaders; zero for joints at rest."""
         if self._followers:
             J[:, :, self._active] += J[:, :, self._followers] @ self._share[self._followers]
             J[:, :, self._followers] = 0.0

@@ -155,7 +155,7 @@ def _axis(tests: Tests, dt: float) -> ActuatorFit:
         raise CannotAnswer(
             "poor_excitation",
             "the reference never moves",
-            "record a step of the reference and wait until the axis stands",
+            "record a step of the reference and wait until the axis is at rest",
         )
     time_constant, delay = _walk(tests, dt, *_scan(tests, dt))
     linear = np.linalg.lstsq(

@@ -102,7 +102,7 @@ def detect_feedback(records: Sequence[Record]) -> Feedback:
     share, new = found[j][1:]
     name = few[0].inputs[j]
     if p < SIGNIFICANCE_LEVEL and share > MIN_VARIANCE_SHARE and new > NEW:
-        why = f"input '{name}' answers to past disturbances of the outputs ({100 * new:.2g} % of what is new in it, p = {p:.1g})"
+        why = f"input '{name}' answers to past disturbances of the outputs ({100 * new:.2g} % of its innovation, p = {p:.1g})"
         return Feedback(True, p, share, why, name)
     return Feedback(False, p, share, "no input answers to past disturbances of the outputs")
 

@@ -148,7 +148,7 @@ def find_modes(
         data, forces = window_forces(data)
 
     say("looking for feedback")
-    feedback = Feedback(False, 1.0, 0.0, "pulses answer to nothing") if pulses else detect_feedback(data.train)
+    feedback = Feedback(False, 1.0, 0.0, "pulses get no answer") if pulses else detect_feedback(data.train)
     first, why = _choose_first_method(method, data, feedback)
 
     starts: dict[tuple[str, int], Start] = {}  # by method and delay: compared models share their first models
@@ -350,7 +350,7 @@ def settle(
     if other is not None and ratio <= WORST_RATIO:
         who = closed.input or ("" if named else first.inputs[found.input])
         closed = replace(closed, share=max(found.share, before.share), input=who)
-        return other, closed, f"{why}, so pbsid, which bears feedback"
+        return other, closed, f"{why}, so pbsid, which allows feedback"
     lost = (
         "pbsid gives no model" if other is None else f"pbsid leaves {ratio:.3g} times the error of n4sid in simulation"
     )
@@ -460,7 +460,7 @@ def _refit(
 ) -> tuple[RefinedModel, str]:
     """Return the model fitted to all data, including held-out data, and a description; the given one if that fails."""
     if not data.whole or not data.holdout:
-        return refined, "nothing was left to add"
+        return refined, "no order was left to add"
     if limit.is_over("a fit to all data"):
         return refined, "the model is that of the training data"
     plain = best.states.taken is not None and best.states.taken.plain

@@ -147,7 +147,7 @@ def _divide(logs: Sequence[Log], outputs: tuple[str, ...]) -> list[_SetUp]:
     if not all(np.isfinite(r.y).all() for r in every):
         raise InputError("bad_sample", "outputs hold samples that are no numbers; mend them, or cut the log there")
     if any(abs(r.dt / every[0].dt - 1) > STEP_TOLERANCE for r in every):
-        raise InputError("time_stamps", "the logs differ in sampling step; resample them alike")
+        raise InputError("time_stamps", "the logs differ in sampling step; resample them to one rate")
     return [_SetUp(tuple(some), names) for names, some in records.items()]
 
 

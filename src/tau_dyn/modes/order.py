@@ -17,7 +17,7 @@ Reference: Hannan & Deistler 1988 (properties of the criteria).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -100,7 +100,7 @@ class OrderTrial:
     model: StateSpace
     refined: bool = True
     plain: bool = False
-    path: RefinementPath | None = None
+    path: RefinementPath | None = field(default=None, repr=False)
 
     def to_dict(self) -> dict[str, Any]:
         """Return it for the JSON result."""
@@ -413,7 +413,7 @@ def _chosen(trials: Sequence[OrderTrial], apart: bool) -> OrderChoice:
     if bic.white and bic.behind <= TOLERANCE:
         why = f"order {bic.order} is what BIC takes; it leaves white noise, and simulates other data as well as any"
         return OrderChoice(bic.order, tuple(trials), by, why)
-    return OrderChoice(simple, tuple(trials), by, f"{why}; BIC would take {bic.order}, but what is left is not white")
+    return OrderChoice(simple, tuple(trials), by, f"{why}; BIC would take {bic.order}, but the residual is not white")
 
 
 def select_pulses(records: Sequence[Record]) -> tuple[Sequence[Record], Sequence[Record]]:

@@ -126,7 +126,7 @@ def check_alike(records: Sequence[Record]) -> None:
         if abs(record.dt / first.dt - 1) > 1e-6:
             raise InputError(
                 "time_stamps",
-                f"records differ in sampling step: {first.dt:g} s and {record.dt:g} s; resample them alike",
+                f"records differ in sampling step: {first.dt:g} s and {record.dt:g} s; resample them to one rate",
             )
         if record.u.shape[1] != first.u.shape[1] or record.y.shape[1] != first.y.shape[1]:
             raise InputError("mismatch", "records differ in their number of inputs or outputs")
@@ -301,7 +301,7 @@ def _list_dead_sensors(log: Log, inputs: Sequence[str], outputs: Sequence[str]) 
             if not any(np.std(x[start:stop]) > LIVE_SHARE * np.std(x) for x in others):
                 continue
             sentence = (
-                f"{log.name}: {name} stands still from t = {log.t[start]:.4g} to {log.t[stop - 1]:.4g} s while the rest goes on: "
+                f"{log.name}: {name} is constant from t = {log.t[start]:.4g} to {log.t[stop - 1]:.4g} s while the rest goes on: "
                 "the sensor gave no values there. Cut the record there, or measure again."
             )
             found.append(CodedWarning("held_channel", sentence))
@@ -317,7 +317,7 @@ def _pulses(train: list[Record], held: list[Record], warnings: tuple[str, ...]) 
         how = f"{len(kept)} of {len(everything)} pulses, the last ones at each place"
     if not kept:
         how = "nothing"
-        few = "nothing is held out of so few pulses, so the fit is that of the data themselves; record each twice"
+        few = "so few pulses leave no held-out data, so the fit is that of the data themselves; record each twice"
         warnings = (*warnings, few)
     parts, whole = (tuple(truncate_records(some, PULSES, 5 * PULSE_ROOM)) for some in (pulses, everything))
     return PreparedRecords(parts, tuple(kept), "impulse", how, warnings, whole)

@@ -54,6 +54,7 @@ from tau_dyn.modes.modal_form import (
 from tau_dyn.modes.record import Record, Scales
 from tau_dyn.modes.residuals import PREDICTED, SIMULATED
 from tau_dyn.modes.state_space import StateSpace
+from tau_dyn.results import Brief
 
 
 def build_predictor(model: StateSpace) -> StateSpace:
@@ -313,7 +314,7 @@ def refine(
 
 
 @dataclass(frozen=True, eq=False)
-class RefinementPath:
+class RefinementPath(Brief):
     """End of the descent of a model to a set of records, before uncertainties are computed.
 
     Attributes:

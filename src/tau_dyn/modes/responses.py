@@ -242,7 +242,7 @@ def compute_impulse_responses(
     pairs = [(r.u, np.hstack([r.y, simulate(model, r)])) for r in few]
     h = _divided(pairs, length)
     p = model.D.shape[0]
-    how = "outputs divided by inputs in the frequency domain, alike for data and model"
+    how = "outputs divided by inputs in the frequency domain, for data and model"
     return ImpulseResponses(np.arange(length) * model.dt, h[:, :p], h[:, p:], how, held_out)
 
 

@@ -1,20 +1,20 @@
 """The plant as compiled code: whole runs in one call, the same trajectories as `plant.py` to rounding, many times faster.
 
-A model's equations are traced (`codegen/plant_equations.py`), written in C with the parameters left open, compared with the
-simulator's at random states, built once and kept (`codegen/compiler.py`). One library serves all values of the parameters:
+A model's equations are traced (`codegen/plant_equations.py`), written in C with the parameters as inputs, compared with the
+simulator's at random states, built once and stored (`codegen/compiler.py`). One library works for all values of the parameters:
 
     plant = CompiledPlant.find(model, n_samples)
     plant.apply_forces(q0, v0, dt, tau, parameters=theta)      # forces (N, na)
     plant.follow(q0, v0, servo, parameters=theta)              # a reference, through a cascade
 
-A run that cannot be finished (a loop opens, a number is not finite, a decision falls otherwise than while tracing) returns None;
-then `plant.py` decides what that means. What cannot be traced, and all where there is no compiler, is simulated there too.
+A run that cannot be finished (a loop opens, a number is not finite, a condition differs from that during tracing) returns None;
+`plant.py` then handles it. It also simulates models that cannot be traced, and all models without a compiler.
 
-Building pays where it takes less time than it saves: one step of `plant.py` takes 0.2 to 0.5 ms, and building half a second to
-three, the more the more joints there are.
+A library is built if that takes less time than it saves: one step of `plant.py` takes 0.2 to 0.5 ms, and a build half a second
+to three, growing with the number of joints.
 
-Encoders that round make a loop that is open below their step: without friction, differences of 1e-16 grow there until a rounding
-tips, and two runs then differ by a step of the encoders, as those of two computers do.
+Encoders that round open the feedback below their step: without friction, differences of 1e-16 grow there until a rounding
+changes, and two runs then differ by a step of the encoders, as those of two computers do.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from tau_dyn.simulate.sensors import EncoderErrors
 
 MIN_SAMPLES, MIN_SAMPLES_PER_DRIVE, MIN_SAMPLES_PER_PASSIVE_JOINT = 1000, 500, 150
 """Shorter runs are over before a library is built (`experiments/benchmarks/compiled_plant.py`, friction: 1700 samples of EMPS,
-2000 of L1, 4400 of a UR5, 5400 of a complete Gantry-Tau). What is kept from earlier runs makes no difference: the same call takes
+2000 of L1, 4400 of a UR5, 5400 of a complete Gantry-Tau). Libraries from earlier runs do not change this: the same call takes
 the same path each time, since the paths differ by rounding."""
 AGREEMENT = 1e-9
 """How far equations and simulator may differ at random states, relative to the largest value."""
@@ -68,7 +68,7 @@ class _TracedModels:
     def find(
         self, model: Model, shown: Sequence[DisplacementEffect], campaign: float | None
     ) -> tuple[Equations, str] | None:
-        """Return a model's equations, traced if need be; None where it cannot be traced.
+        """Return a model's equations, traced if needed; None if it cannot be traced.
 
         The model is kept alive, by whose parts it is known.
         """
@@ -86,7 +86,7 @@ def _trace_model(
     try:
         equations = build_equations(model, encoders=shown, campaign=campaign)
         return equations, write_plant_source(equations)
-    except InputError:  # it uses what expressions do not have: Python simulates it
+    except InputError:  # it uses an operation that expressions do not have: Python simulates it
         return None
     except Exception:
         if all(type(effect).__module__.startswith("tau_dyn.") for effect in (*model.effects, *shown)):
@@ -95,7 +95,7 @@ def _trace_model(
 
 
 def _identify(model: Model, shown: Sequence[DisplacementEffect], campaign: float | None) -> tuple:
-    """Return what tells two models apart but for their values."""
+    """Return a key that identifies a model except for its parameters' values."""
     robot = model.robot
     parts = (getattr(robot, f.name) for f in fields(robot) if f.name != "parameters")
     names = model.parameters.names
@@ -106,7 +106,7 @@ _TRACED = _TracedModels()
 
 
 class PlantMotion(NamedTuple):
-    """A run: positions, velocities, accelerations, forces and who stood still (N, na), and what the encoders read.
+    """A run: positions, velocities, accelerations, forces and whether friction held a joint (N, na), and the encoders' readings.
 
     `compute_tool` gives the tool's positions (N, 3) along positions (N, na), or None.
     """
@@ -138,13 +138,13 @@ class CompiledPlant:
     def find(
         cls, model: Model, n_samples: int, surroundings: EffectSurroundings | None = None, *, encoders: bool = False
     ) -> CompiledPlant | None:
-        """Return a model's plant where compiled code is possible and pays for a run of this length, else None.
+        """Return a model's compiled plant if compilation is possible and saves time for a run of this length, else None.
 
         Args:
             model: The model.
-            n_samples: Steps of the plant that are to be simulated.
-            surroundings: By default a room that warms up.
-            encoders: Whether the encoders' errors are felt.
+            n_samples: Number of plant steps to be simulated.
+            surroundings: Surroundings; by default a room that warms up.
+            encoders: Whether the encoders' errors are simulated.
         """
         robot = model.robot
         passive = robot.model.nv - robot.na if robot.loops and model.mechanism.equations == "tree" else 0
@@ -171,7 +171,7 @@ class CompiledPlant:
     def compute_inertia(self, law_model: Model, q: np.ndarray) -> np.ndarray | None:
         """Return the mass matrix (N, na, na) of a model of the same robot along positions (N, na), or None.
 
-        None where the robots differ in more than values, or where a position cannot be reached.
+        None if the robots differ in more than values, or if a position cannot be reached.
         """
         names = law_model.parameters.names
         own = [self.model.parameters.names[k] for k in self.places]
@@ -185,7 +185,7 @@ class CompiledPlant:
         return out if done == len(q) else None
 
     def compute_tool(self, q: np.ndarray) -> np.ndarray | None:
-        """Return the tool's positions (N, 3) [m] along positions (N, na), or None where one cannot be reached."""
+        """Return the tool's positions (N, 3) [m] along positions (N, na), or None if one cannot be reached."""
         q = np.ascontiguousarray(q, float)
         out = np.empty((len(q), 3))
         if self.equations.tool is None or not len(q):
@@ -194,7 +194,7 @@ class CompiledPlant:
         return out if self.library.plant_tool(state, _point(q), _point(out), ctypes.c_int64(len(q))) == len(q) else None
 
     def begin(self, q0: np.ndarray, v0: np.ndarray, *controller: np.ndarray) -> Any:
-        """Return the library's state at positions, velocities (na,) and, where there is one, the controller's numbers."""
+        """Return the library's state at positions, velocities (na,) and, if there is a controller, its numbers."""
         loops = self.equations.loops
         passive = np.zeros(0) if loops is None else loops.closed(q0)[loops.passive]
         given = [np.ascontiguousarray(x, float) for x in (q0, v0, passive, *controller)]
@@ -205,7 +205,7 @@ class CompiledPlant:
     def apply_forces(
         self, q0: np.ndarray, v0: np.ndarray, dt: float, tau: np.ndarray, *, parameters: np.ndarray | None = None
     ) -> PlantMotion | None:
-        """Return the motion under forces, each around its sample; None where the run cannot be finished.
+        """Return the motion under forces, each around its sample; None if the run cannot be finished.
 
         Args:
             q0: Positions at the start (na,) [m or rad].
@@ -230,7 +230,7 @@ class CompiledPlant:
         hold: bool = False,
         watch: Callable[[int, np.ndarray], bool] | None = None,
     ) -> PlantMotion | None:
-        """Return the motion along a reference; None where the run cannot be finished.
+        """Return the motion along a reference; None if the run cannot be finished.
 
         Args:
             q0: Positions at the start (na,) [m or rad].
@@ -343,7 +343,7 @@ class _Run:
         )
 
     def _put(self, name: str, values: np.ndarray | None, kind: Any = float) -> None:
-        """Hand an array over; None for none."""
+        """Pass an array to the compiled code; skip `None`."""
         if values is None:
             return
         self._arrays[name] = array = np.ascontiguousarray(values, kind)

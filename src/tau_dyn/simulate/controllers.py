@@ -3,12 +3,12 @@
     e_k = kp (q_ref - q)_k + speed_feedforward v_ref_{k-1} - (q_k - q_{k-2}) / (2 dt),
     u_k = K (e_k + integral_rate * int e dt) + u_ff,   tau_k = force_per_unit * clip(u_k, -limit, limit).
 
-K is `diag(kv)`, or, where the law knows the robot, `M(q_ref) diag(kv)`: then an error of one joint accelerates that joint
-alone. Gains of the mass matrix' diagonal make a serial arm swing between its force limits, because an arm that gives way
-at the other joints is far lighter than its diagonal says.
+K is `diag(kv)`, or, if the law has the mass matrix, `M(q_ref) diag(kv)`: then an error of one joint accelerates that joint
+alone. Gains of the mass matrix' diagonal make a serial arm swing between its force limits, because an arm that gives way at the
+other joints has far less inertia than its diagonal entry.
 
-The speed is what a drive knows: the difference of positions averaged over two samples. It is one sample old, so the
-reference speed is taken of the sample before. The integral stops where the limit holds (anti-windup). `CascadeLaw.emps`
+The speed is the one that a drive can compute: the difference of positions averaged over two samples. It is one sample old, so
+the reference speed is taken of the sample before. The integral stops where the limit holds (anti-windup). `CascadeLaw.emps`
 gives the law of the EMPS drive: `vir = kp kv (qg - q) - kv dq` within 10 V (Janot, Gautier & Brunot 2019). A controller sees
 references and measured positions, never the plant's state. A law file holds its gains:
 
@@ -86,11 +86,11 @@ class CascadeLaw:
     Attributes:
         position_gain: `kp` [1/s].
         velocity_gain: `kv` [unit per m/s or rad/s], the unit being the drive's own, volts for EMPS; [1/s] with `inertia`.
-        integral_rate: How fast the velocity loop integrates [1/s]; 0 for none.
+        integral_rate: How fast the velocity loop integrates [1/s]; 0 for no integral.
         speed_feedforward: Share of the reference speed that is added to the command.
-        force_per_unit: What one unit of the drive gives [N or N m per unit]; 1 where the unit is the force.
+        force_per_unit: Force of one unit of the drive [N or N m per unit]; 1 if the unit is the force.
         limit: Largest output [unit].
-        inertia: Gives the mass matrix (na, na) at positions (na,), by which the velocity loop is multiplied; or None.
+        inertia: Gives the mass matrix (na, na) at positions (na,), a factor of the velocity loop; or None.
     """
 
     position_gain: np.ndarray
@@ -150,7 +150,7 @@ class CascadeLaw:
 
 @dataclass(frozen=True, eq=False)
 class Servo:
-    """A cascade and what it follows, as numbers, for compiled code.
+    """A cascade and its references as numbers, for compiled code.
 
     Attributes:
         law: Its gains; `inertia` is looked up in the array of that name.
@@ -160,11 +160,11 @@ class Servo:
         forward: Output added to the law's (N, na), in the drive's unit.
         before: The two positions read before the start (2, na).
         v_before: The reference speed before the start (na,).
-        integral: What the velocity loop has integrated at the start (na,), in the drive's unit.
+        integral: Integral of the velocity loop at the start (na,), in the drive's unit.
         inertia: Mass matrices (m, na, na), one every `inertia_every` samples, or None.
         inertia_every: Samples for which a mass matrix is kept.
-        noise: Added to what the encoders read (N, na), or None.
-        resolution: Step that readings are rounded to (na,), or None; 0 for none.
+        noise: Added to the encoders' readings (N, na), or None.
+        resolution: Step that readings are rounded to (na,), or None; 0 for no rounding.
     """
 
     law: CascadeLaw
@@ -182,7 +182,7 @@ class Servo:
 
 
 class CascadeController:
-    """A cascade of a position and a velocity loop for all joints, with force feedforward where it is given."""
+    """A cascade of a position and a velocity loop for all joints, with optional force feedforward."""
 
     def __init__(self, law: CascadeLaw, *, start: Model | None = None, feedforward: Feedforward | None = None) -> None:
         """Prepare a controller.

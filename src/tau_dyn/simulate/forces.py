@@ -1,18 +1,18 @@
 """The effects' forces as a simulator needs them: for one sample, for both directions of motion at once, and fast.
 
-At a state (q, v) an effect gives its force at `sign = -1` and at `sign = +1`; friction that stops a motion lies between
-(`plant.py` chooses). Effects are linear in their parameters and taken as affine in the acceleration, so what they add to the
-mass matrix is found by asking for unit accelerations. Three approximations: an effect whose own sign is not its joint's
-(`reducer_coupling` turns with a sum of two speeds) is taken at the current speed and cannot stick; where an effect pushes
-forwards (`sign = -1` above `sign = +1`) the sum is taken at the current direction; and what depends on a guide's load, which is
-not affine in the acceleration, takes the acceleration as it is known so far. What only distorts the recording
-(`measured` effects) has no force here: `sensors.py` adds it to the log.
+At a state (q, v) an effect gives its force at `sign = -1` and at `sign = +1`; friction that holds a joint is between the two
+(`plant.py` determines it). Effects are linear in their parameters and taken as affine in the acceleration, so their
+contribution to the mass matrix is computed from unit accelerations. Three approximations: an effect whose own sign is not its
+joint's (`reducer_coupling` turns with a sum of two speeds) is taken at the current speed and cannot stick; where an effect
+pushes forwards (`sign = -1` above `sign = +1`) the sum is taken at the current direction; and an effect that depends on a
+guide's load, which is not affine in the acceleration, takes the latest estimate of the acceleration. An effect that only
+distorts the recording (`measured` effects) has no force here: `sensors.py` adds it to the log.
 
-Some effects feel what a single state does not tell: the room's temperature, by default
+Some effects depend on more than the current state: on the room's temperature, by default
 
     T(t) = 20 + 20 (1 - exp(-t / 60 s)) degC,
 
-since a machine takes an hour to warm up and a simulated minute must show it, and where a bristle was dragged. Each
+since a machine takes an hour to warm up and a simulated minute must show it, and on the path of a bristle. Each
 `thermal_drift` follows the temperature with its own lag, each `hysteresis` keeps its own state; both start in equilibrium.
 """
 
@@ -47,11 +47,11 @@ def compute_warm_up(t: float | np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class EffectSurroundings:
-    """Where the robot stands.
+    """Surroundings of the robot.
 
     Attributes:
         temperature: Temperature [degC], one or one a joint (na,), at a time [s] after the start.
-        campaign: Number of the recording among several, where effects ask for it.
+        campaign: Number of the recording among several, for effects that need it.
     """
 
     temperature: Callable[[float], np.ndarray] = compute_warm_up
@@ -59,7 +59,7 @@ class EffectSurroundings:
 
 
 class Memory:
-    """Signals that effects remember, advanced from sample to sample."""
+    """Internal states of effects, advanced from sample to sample."""
 
     def __init__(self, effects: Iterable[Effect], na: int, surroundings: EffectSurroundings | None = None) -> None:
         """Start in equilibrium at time zero."""
@@ -73,7 +73,7 @@ class Memory:
         self._remembers = any("reversal" in e.needs or isinstance(e, DisplacementEffect) for e in effects)
 
     def signals(self, effect: Effect) -> dict[str, np.ndarray]:
-        """Return what one effect remembers, by signal, each (na,)."""
+        """Return the internal state of one effect, by signal, each (na,)."""
         found = {"reversal": self._travel} if "reversal" in effect.needs else {}
         if id(effect) in self._warm:
             found["temperature"] = self._warm[id(effect)]
@@ -117,10 +117,10 @@ class SampledForces:
     """Forces of a model's effects at one sample; `memory` is advanced by whoever moves the robot."""
 
     def __init__(self, model: Model, surroundings: EffectSurroundings | None = None) -> None:
-        """Look values up once; effects that act joint by joint are later asked for all joints in one call.
+        """Look values up once; effects that act joint by joint are later evaluated for all joints in one call.
 
         Raises:
-            InputError: An effect feels what a simulation cannot give.
+            InputError: An effect needs a signal that a simulation cannot provide.
         """
         model.robot.require_fixed_base("a simulation")
         self.model, self.joints, self.na = model, model.robot.actuated, model.robot.na
@@ -166,7 +166,7 @@ class SampledForces:
         return lower, upper
 
     def mass(self, q: np.ndarray, v: np.ndarray) -> np.ndarray | None:
-        """Return what the effects add to the mass matrix (na, na), or None where none of them feels accelerations."""
+        """Return the effects' contribution to the mass matrix (na, na), or `None` if no effect depends on accelerations."""
         if not self._moves_mass and not self._scaled:
             return None
         added = np.zeros((self.na, self.na))
@@ -180,7 +180,7 @@ class SampledForces:
         return added
 
     def _place(self, effect: Effect, values: np.ndarray) -> None:
-        """Sort an effect by how it is asked for its force."""
+        """Sort an effect by the way its force is evaluated."""
         unknown = [name for name in effect.needs if name not in _KNOWN]
         if unknown:
             raise InputError(
@@ -189,7 +189,7 @@ class SampledForces:
         if "campaign" in effect.needs and self.memory.surroundings.campaign is None:
             raise InputError(
                 "unsupported",
-                f"effect {effect.name} sets one recording apart from others, and a simulation is one recording: give this "
+                f"effect {effect.name} separates one recording from others, and a simulation is one recording: give this "
                 "one its own coulomb and viscous friction instead",
             )
         if "force" in effect.needs:
@@ -221,7 +221,7 @@ class SampledForces:
         sign: np.ndarray,
         force: np.ndarray | None = None,
     ) -> Motion:
-        """Return `len(a)` samples at one place and speed, with the signals that an effect feels."""
+        """Return `len(a)` samples at one position and speed, with the signals that an effect needs."""
         n = len(a)
         places, speeds = np.tile(q, (n, 1)), np.tile(v, (n, 1))
         signals = repeat_signals(self.memory.signals(effect), n)
@@ -234,7 +234,7 @@ class SampledForces:
 
 
 class _Jointwise:
-    """An effect that each of its joints feels by itself, asked for all of them and both signs in one call."""
+    """An effect that acts on each of its joints separately, evaluated for all joints and both signs in one call."""
 
     def __init__(self, effect: JointwiseEffect, index: np.ndarray, values: np.ndarray) -> None:
         """Look up values; `index` (n,) are the effect's joints."""
@@ -253,6 +253,6 @@ class _Jointwise:
 
 
 def _by_joint(effect: JointwiseEffect) -> bool:
-    """Return whether a joint's own motion and what is remembered are all that an effect feels."""
+    """Return whether an effect depends on a joint's own motion and on its internal state alone."""
     plain = type(effect).columns is JointwiseEffect.columns and set(effect.needs) <= _REMEMBERED
     return plain or isinstance(effect, Bristle)

@@ -16,9 +16,9 @@ from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.model import Model
 from tau_dyn.simulate.trajectory import Trajectory
 
-CHECKED_SAMPLES = 400  # samples checked, spread over the motion, beside its peaks
+CHECKED_SAMPLES = 400  # samples checked, spread over the motion, in addition to its peaks
 _MAX_SLOWING = 10.0
-"""Times slower that a motion is tried; what it then exceeds are ranges and weights."""
+"""Largest factor by which a motion is slowed; the limits that it still exceeds are ranges and weights."""
 _SLACK = 1e-9  # relative; values that equal a limit but for rounding are within it
 
 
@@ -30,7 +30,7 @@ def compute_condition_bound(model: Model) -> float:
 def describe_exceeded_limit(
     model: Model, motion: Trajectory, *, margin: float = 0.0, condition: float | None = None, forces: bool = True
 ) -> str | None:
-    """Return what hinders the robot from following a motion, as half a sentence, or None.
+    """Return the limit or singularity that a motion meets, as half a sentence, or None.
 
     Args:
         model: Robot and friction.
@@ -58,7 +58,7 @@ def describe_exceeded_limit(
 
 
 def describe_slowing(model: Model, motion: Trajectory) -> str:
-    """Return a clause on how much slower a motion keeps the robot's limits, and what makes such a one; empty where none does."""
+    """Return a clause that reports how much slower a motion keeps the robot's limits, and options for it; '' if no speed does."""
 
     def is_within(factor: float) -> bool:
         slow = replace(motion, t=motion.t * factor, v=motion.v / factor, a=motion.a / factor**2)

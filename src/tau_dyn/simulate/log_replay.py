@@ -1,18 +1,18 @@
-"""A recording repeated by the model: the plant under the rig's own controller, driven by the log's own references.
+"""Simulated repetition of a recording: the plant under the rig's own controller, driven by the log's references.
 
-The controller sees `q_ref_J` of the log and the simulated positions; the plant starts from the log's first position and
-speed. What is compared is what the log holds: positions and forces as they are, the following error `q_ref - q`, and speeds
-and accelerations, both sides low-passed alike and differentiated by central differences:
+The controller sees `q_ref_J` of the log and the simulated positions; the plant starts from the log's first position and speed.
+The signals of the log are compared: positions and forces without filter, the following error `q_ref - q`, and speeds and
+accelerations, both sides with the same low-pass and central differences:
 
     error = 100 |simulated - measured| / |measured| [%],
 
-norms over all samples, nothing masked, as the published errors of EMPS are given (Janot, Gautier & Brunot 2019).
+with norms over all samples, without a mask, as in the published errors of EMPS (Janot, Gautier & Brunot 2019).
 
 Timing is a drive's: position k is read, force k follows from it and is held until sample k + 1. The plant's step runs from half
 a sample before to half a sample after, so it is given the mean of the last two forces, which is that hold exactly. The loop
 runs at the log's rate, or at a whole multiple of it; between the log's samples the reference is a cubic spline that does not
-swing around a step. Encoders do not round here, but they read beside the load, forces are logged late and friction follows the
-log's temperature where the model says so (`sensors.py`, `forces.py`).
+swing around a step. Encoders do not round here. If the model has such effects, their readings differ from the load's position,
+forces are logged late and friction follows the log's temperature (`sensors.py`, `forces.py`).
 """
 
 from __future__ import annotations
@@ -37,24 +37,24 @@ from tau_dyn.simulate.sensors import EncoderErrors, record_run
 from tau_dyn.simulate.trajectory import Trajectory
 
 SIGNALS = ("position", "speed", "acceleration", "force", "following")
-"""What is compared; `following` is the reference minus the position."""
+"""Signals that are compared; `following` is the reference minus the position."""
 
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """A simulated repetition beside its recording.
+    """A recording and its simulated repetition.
 
     Attributes:
         joints: Actuated joints, in the order of the columns.
         units: Unit of each joint's position and of its force, as pairs.
         t: Time (N,) [s], the log's.
-        measured: By signal (`SIGNALS`), what the log says (N, na); [m or rad], per s, per s^2, [N or N m].
-        simulated: The same of the simulation.
-        cutoff_hz: Zero-phase low-pass on positions before speeds and accelerations are taken [Hz]; inf for none.
+        measured: Signals of the log by name (`SIGNALS`) (N, na); [m or rad], per s, per s^2, [N or N m].
+        simulated: The same signals of the simulation.
+        cutoff_hz: Zero-phase low-pass on positions before speeds and accelerations are taken [Hz]; inf for no low-pass.
         rate_hz: Rate of the simulated control loop [Hz].
         at_limit: Share of the samples in which the controller's limit held (na,).
         stuck: Share of the samples in which friction held a joint (na,).
-        warnings: What is doubtful, one sentence each.
+        warnings: Doubts about the result, one sentence each.
     """
 
     joints: tuple[str, ...]
@@ -73,17 +73,17 @@ class Replay:
         return self.measured[signal] - self.simulated[signal]
 
     def relative_error_percent(self, signal: str) -> np.ndarray:
-        """Return `100 |simulated - measured| / |measured|` (na,) [%]; nan where nothing but zeros was measured.
+        """Return `100 |simulated - measured| / |measured|` (na,) [%]; nan if all measured values are zero.
 
-        A position's error is relative to the distance from the joint's zero, so it says little about a joint that works far
-        from it; `following` does not depend on where zero is.
+        A position's error is relative to the distance from the joint's zero, so it has little meaning for a joint that works
+        far from zero; `following` does not depend on the position of zero.
         """
         size = np.linalg.norm(self.measured[signal], axis=0)
         away = np.linalg.norm(self.residual(signal), axis=0)
         return np.divide(100 * away, size, out=np.full(len(size), np.nan), where=size > 0)
 
     def with_cutoff(self, cutoff_hz: float) -> Replay:
-        """Return the same replay with speeds and accelerations behind another low-pass [Hz], or none (inf)."""
+        """Return the same replay with speeds and accelerations after another low-pass [Hz], or without (inf)."""
         sides = []
         for side in (self.measured, self.simulated):
             q = side["position"]
@@ -91,7 +91,7 @@ class Replay:
         return replace(self, measured=sides[0], simulated=sides[1], cutoff_hz=cutoff_hz)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return errors and how they were found, as plain numbers for JSON; null where nothing but zeros was measured."""
+        """Return errors and settings as plain numbers for JSON; null if all measured values are zero."""
         errors: dict[str, Any] = {}
         for signal in SIGNALS:
             rms = np.sqrt(np.mean(self.residual(signal) ** 2, axis=0))
@@ -125,7 +125,8 @@ def get_signals(
         q_ref: References (N, na) [m or rad].
         q: Positions (N, na) [m or rad].
         tau: Forces (N, na) [N or N m].
-        cutoff_hz: Zero-phase low-pass on positions before central differences give speeds and accelerations; inf for none.
+        cutoff_hz: Zero-phase low-pass on positions before central differences give speeds and accelerations; inf for no
+            low-pass.
     """
     dt = (t[-1] - t[0]) / (len(t) - 1)
     v = differentiate(lowpass(q, cutoff_hz, 1 / dt) if np.isfinite(cutoff_hz) else q, dt)
@@ -153,7 +154,7 @@ class SteppedPlant(Protocol):
         ...
 
     def step(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Apply forces (na,) around the sample; return its speed, acceleration and who is stuck, then move on."""
+        """Apply forces (na,) around the sample; return its speed, acceleration and stuck joints, then advance."""
         ...
 
 
@@ -180,15 +181,15 @@ def replay(
         controller_law: The rig's own controller.
         rate_hz: Rate of its loop [Hz], a whole multiple of the log's; by default the smallest that reaches 1 kHz.
         substeps: Steps of the plant in one period of the loop.
-        cutoff_hz: Low-pass before speeds and accelerations are taken [Hz], inf for none; by default as high as the measured
-            encoders' noise allows (1e-4 of the acceleration's power, `find_motion_band`), and the same for later replays of
-            the log.
-        start_plant: Starts the robot in another program; by default `Plant`, compiled where it can be.
-        progress: Is told the share that is done.
+        cutoff_hz: Low-pass before speeds and accelerations are taken [Hz], inf for no low-pass; by default as high as the
+            measured encoders' noise allows (1e-4 of the acceleration's power, `find_motion_band`), and the same for later
+            replays of the log.
+        start_plant: Starts the robot in another program; by default `Plant`, compiled if possible.
+        progress: Called with the share that is done.
 
     Raises:
         InputError: The log lacks a column or has a gap, the law is for another robot, or the simulated feedback is unstable.
-        LoopClosureError: The robot was driven where its loops cannot be closed.
+        LoopClosureError: The robot was driven to a position at which its loops cannot be closed.
     """
     joints = model.robot.actuated
     log = ensure_even(_checked(log, joints))
@@ -240,7 +241,7 @@ class _ResumedController(CascadeController):
     """A cascade that has been running before the first sample."""
 
     def resume(self, reference: Trajectory, start: _State) -> None:
-        """Get ready as `reset` does, but in motion; an integral starts with what makes the first force the measured one."""
+        """Get ready as `reset` does, but in motion; an integral starts so that the first force equals the measured one."""
         self.reset(reference)
         v_before = 2 * reference.v[0] - reference.v[1]
         self._before, self._v_ref = (start.before[0], start.before[1]), v_before
@@ -271,7 +272,7 @@ def _start_with_temperatures(log: Log, joints: tuple[str, ...]) -> StartPlant:
 def _drive(
     model: Model, log: Log, law: CascadeLaw, pace: _Pace, start_plant: StartPlant | None, progress: Progress | None
 ) -> PlantRun:
-    """Return what happens, at the log's samples."""
+    """Return the simulated run at the log's samples."""
     joints, (often, substeps) = model.robot.actuated, pace
     reference = _reference(log, joints, often)
     period = 1 / (often * _rate(log))
@@ -343,10 +344,10 @@ def _start(log: Log, joints: tuple[str, ...], period: float) -> _State:
 
 
 def _reference(log: Log, joints: tuple[str, ...], often: int) -> Trajectory:
-    """Return the log's reference at `often` samples for each of the log's.
+    """Return the log's reference with `often` samples for each sample of the log.
 
-    Slopes of a cubic Hermite spline: central differences, no steeper than three times the flatter chord beside them, so
-    that no value lies beyond its neighbours (Fritsch & Carlson 1980; Hyman 1983).
+    Slopes of a cubic Hermite spline: central differences, no steeper than three times the flatter adjacent chord, so that no
+    value exceeds its neighbours (Fritsch & Carlson 1980; Hyman 1983).
     """
     dt, q = 1 / _rate(log), log.joint("q_ref", joints)
     chord = np.abs(np.diff(q, axis=0)) / dt

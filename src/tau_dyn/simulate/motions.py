@@ -1,4 +1,4 @@
-"""Reference motions by name, each good at showing something, all within the robot's limits and at rest at their ends.
+"""Reference motions by name, each suited to some parameters, all within the robot's limits and at rest at their ends.
 
     fourier     random Fourier series: masses, and friction at all speeds
     exciting    the best conditioned of many of them
@@ -7,8 +7,8 @@
     multisine   2-14 Hz multisine riding on constant speed: resonances, unhidden by reversals
     prbs        random binary speeds with smooth ramps: masses, delays
 
-Motions are built about `robot.home`; where a limit or a singularity is in the way they are scaled towards it, and
-`Trajectory.notes` says so. Speeds go up to 1 m/s or 2 rad/s, accelerations to about 6 m/s^2 or 12 rad/s^2. A Fourier motion is
+Motions are built about `robot.home`; if they meet a limit or a singularity they are scaled towards home, and `Trajectory.notes`
+reports it. Speeds go up to 1 m/s or 2 rad/s, accelerations to about 6 m/s^2 or 12 rad/s^2. A Fourier motion is
 
     q_j(t) = home_j + w(t) sum_h A_jh sin(2 pi f_jh t + phi_jh),
 
@@ -93,13 +93,13 @@ def build_fourier_motion(
     Args:
         model: Robot and friction; both count for limits.
         duration: Length [s], at least 4.
-        seed: Of the amplitudes and phases.
+        seed: Seed of the amplitudes and phases.
         harmonics: Sines a joint.
         slow_hz: Lowest frequency [Hz]; joint j's are higher by up to 10 %, so that joints do not repeat each other.
         fast_hz: Highest frequency [Hz].
 
     Raises:
-        InputError: The motion is too short, or nothing around home is within the limits.
+        InputError: The motion is too short, or no motion around home is within the limits.
     """
     t = build_clock(duration, 4.0, "fourier")
     rng = np.random.default_rng(seed)
@@ -120,10 +120,10 @@ def build_fourier_motion(
 def build_exciting_motion(
     model: Model, duration: float = 20.0, seed: int = 0, *, trials: int = 30, harmonics: int = 5
 ) -> Trajectory:
-    """Return the best conditioned of `trials` random Fourier motions; its note says the condition number.
+    """Return the best conditioned of `trials` random Fourier motions; its note reports the condition number.
 
     Raises:
-        InputError: As `build_fourier_motion`; or fewer than one trial is asked for.
+        InputError: As `build_fourier_motion`; or fewer than one trial is requested.
     """
     if trials < 1:
         raise InputError("invalid_value", f"a search needs at least one trial, not {trials}")
@@ -182,7 +182,7 @@ def build_slow_motion(model: Model, duration: float = 20.0, seed: int = 0, *, sp
     Args:
         model: The robot.
         duration: Length [s], at least 4.
-        seed: Of the common phase.
+        seed: Seed of the common phase.
         speed: Highest speed [m/s or rad/s]; by default 6 % of the fastest motions', at about one reversal a second.
     """
     t = build_clock(duration, 4.0, "slow")
@@ -204,10 +204,10 @@ def build_stroke_motion(
     Args:
         model: The robot.
         duration: Length [s], at least 6; speeds are repeated in other patterns until it is filled, then it rests.
-        seed: Of the speeds' order.
+        seed: Seed of the speeds' order.
         speeds: Shares of the highest speed (1 m/s, 2 rad/s, or 90 % of the limit), each driven in both directions.
 
-    Where the way is too short for a speed it is lowered; where it is too long for a slow one the trip is shortened to
+    If the travel is too short for a speed, the speed is lowered; if it is too long for a slow one, the trip is shortened to
     about a second in each direction.
     """
     t = build_clock(duration, 6.0, "strokes")
@@ -225,9 +225,9 @@ def build_multisine_on_stroke(
     Args:
         model: The robot.
         duration: Length [s], at least 6.
-        seed: Of the phases.
+        seed: Seed of the phases.
         band_hz: Lowest and highest frequency of the multisine [Hz].
-        lines: Frequencies a joint; joints take turns along the band, so their responses can be told apart.
+        lines: Number of frequencies of each joint; joints alternate along the band, so their responses can be separated.
 
     Lines have equal acceleration. Together they stay below 60 % of the stroke's speed, so only the stroke reverses.
     """
@@ -258,7 +258,7 @@ def build_random_binary_motion(
     Args:
         model: The robot.
         duration: Length [s], at least 4.
-        seed: Of the sequences.
+        seed: Seed of the sequences.
         share: The speed as a share of the highest; lowered where the range is short.
     """
     t = build_clock(duration, 4.0, "prbs")
@@ -291,7 +291,7 @@ def build_named_motion(name: str, model: Model, duration: float = 20.0, seed: in
 
     Raises:
         UnknownName: There is no such motion.
-        InputError: It is too short, or nothing around home is within the limits.
+        InputError: It is too short, or no motion around home is within the limits.
     """
     if name not in MOTIONS:
         raise UnknownName("motion", name, MOTIONS)

@@ -1,13 +1,13 @@
-"""The robot in motion: actuated coordinates, a fixed step, friction that stops sharply.
+"""The robot in motion: actuated coordinates, a fixed step, friction with exact sticking.
 
-Velocities `w` live at half steps, positions at full steps (leapfrog). With the velocity extrapolated to the sample,
+Velocities `w` are at half steps, positions at full steps (leapfrog). With the velocity extrapolated to the sample,
 `v_k = w_{k-1/2} + dt/2 a_{k-1}`,
 
     M(q_k) a_k = tau_k - h(q_k, v_k) - f_k,   w_{k+1/2} = w_{k-1/2} + dt a_k,   q_{k+1} = q_k + dt w_{k+1/2}.
 
 So `tau_k` acts from half a step before its sample to half a step after it: a log of (q_k, tau_k) has no delay, and central
 differences of its positions satisfy the equation of motion to second order. `h` sees the extrapolated velocity, which errs
-by `dt/2 (a_k - a_{k-1})`; friction, which feels it more, is taken again at the velocity that results. Passive joints are
+by `dt/2 (a_k - a_{k-1})`; friction, which is more sensitive, is evaluated again at the resulting velocity. Passive joints are
 closed by the mechanism at every position, so loops cannot drift.
 
 Friction obeys the sign of `w_{k+1/2}` and holds a joint exactly still; the one sample in which a joint reverses or stops mixes
@@ -16,8 +16,8 @@ without friction,
 
     u = free - A f,   f_i = upper_i where u_i > 0,   f_i = lower_i where u_i < 0,   lower_i <= f_i <= upper_i where u_i = 0.
 
-This box complementarity problem has one solution where A is symmetric and positive definite. Mostly the old direction of
-motion is the answer; else projected Gauss-Seidel finds who sticks, and a linear solve makes those velocities exactly zero.
+This box complementarity problem has one solution if A is symmetric and positive definite. Usually the last direction of motion
+is the solution; else projected Gauss-Seidel finds the sticking joints, and a linear solve makes their velocities exactly zero.
 Reference: Hairer, Lubich & Wanner 2003 (leapfrog); Moreau 1988; Stewart & Trinkle 1996; Jourdan, Alart & Jean 1998.
 """
 
@@ -42,7 +42,7 @@ _TOLERANCE = 1e-11  # of the largest friction force
 
 
 class Slip(NamedTuple):
-    """Velocities after the step (na,), friction forces (na,) [N or N m], and who stands still (na,)."""
+    """Velocities after the step (na,), friction forces (na,) [N or N m], and which joints rest (na,)."""
 
     u: np.ndarray
     force: np.ndarray
@@ -50,7 +50,7 @@ class Slip(NamedTuple):
 
 
 def solve_slip(A: np.ndarray, free: np.ndarray, lower: np.ndarray, upper: np.ndarray, guess: np.ndarray) -> Slip:
-    """Solve the step; `lower <= upper` (na,), and `guess` (na,) is a friction force near the answer."""
+    """Solve the step; `lower <= upper` (na,), and `guess` (na,) is a friction force near the solution."""
     u = free - A @ guess
     wrong = ((u > 0) & (guess != upper)) | ((u < 0) & (guess != lower)) | ((u == 0) & (lower < upper))
     if not wrong.any():
@@ -99,7 +99,7 @@ class Plant:
         self._check_inertia(model)
 
     def step(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Apply forces (na,) around the current sample; return its velocity, acceleration and who is stuck, then move on."""
+        """Apply forces (na,) around the current sample; return its velocity, acceleration and stuck joints, then advance."""
         if not self._started:  # w still is the velocity at the sample: go back by half a step
             self._started = True
             u, _ = self._after(tau)
@@ -123,7 +123,7 @@ class Plant:
             )
 
     def _after(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the velocity half a step after the sample, and who is stuck."""
+        """Return the velocity half a step after the sample, and the stuck joints."""
         v = self.w + 0.5 * self.dt * self._a
         M, h = self.mechanism.mass_and_bias(self.q, v)
         if not self.forces.any:
@@ -153,18 +153,18 @@ def run_plant(
 ) -> PlantRun:
     """Let a controller drive the robot along a reference, from rest at the reference's start.
 
-    A cascade runs as compiled code where that is possible and pays (`compiled_plant.py`).
+    A cascade runs as compiled code if that is possible and saves time (`compiled_plant.py`).
 
     Args:
         model: The plant.
         reference: Motion sampled evenly at the control rate.
-        controller: Is given the measured positions of each sample and answers with the forces around it.
-        encoder: What is read of positions (na,) in sample k; by default the true ones.
-        progress: Is told the share that is done.
+        controller: Computes the forces around each sample from its measured positions.
+        encoder: Gives the readings of positions (na,) in sample k; by default the true positions.
+        progress: Called with the share that is done.
 
     Raises:
         InputError: The feedback is unstable.
-        LoopClosureError: The robot was driven where its loops cannot be closed.
+        LoopClosureError: The robot was driven to a position at which its loops cannot be closed.
     """
     dt = reference.duration / (reference.n_samples - 1)
     plant = Plant(model, reference.q[0], np.zeros(model.robot.na), dt)
@@ -197,7 +197,7 @@ def _run_compiled(
     encoder: EncoderReadings | None,
     progress: Progress | None,
 ) -> PlantMotion | None:
-    """Return the run of a cascade as compiled code; None where this is not possible or does not end well."""
+    """Return the run of a cascade as compiled code; None if this is not possible or the run fails."""
     if type(controller) is not CascadeController:
         return None
     compiled = CompiledPlant.find(model, reference.n_samples, encoders=encoder is not None)
@@ -232,7 +232,7 @@ def follow_cascade(
 def free_motion(
     model: Model, q0: np.ndarray, v0: np.ndarray, duration: float, dt: float = 1e-3, tau: np.ndarray | None = None
 ) -> PlantRun:
-    """Let the robot move from a state (na,), (na,) for a time [s], under a constant force (na,) or none."""
+    """Let the robot move from a state (na,), (na,) for a time [s], under a constant force (na,) or without force."""
     n = round(duration / dt) + 1
     plant = Plant(model, q0, v0, dt)
     force = np.zeros(model.robot.na) if tau is None else np.asarray(tau, float)
@@ -247,7 +247,7 @@ def free_motion(
 
 
 class _Recorder:
-    """Keeps what the plant does, sample by sample."""
+    """Records the plant's motion and forces, sample by sample."""
 
     def __init__(self, model: Model, n: int) -> None:
         self.model = model
@@ -263,7 +263,7 @@ class _Recorder:
 
 
 def _is_near(q: np.ndarray, reference: Trajectory) -> bool:
-    """Tell whether positions (na,) are finite and anywhere near where the reference goes."""
+    """Return whether positions (na,) are finite and near the range of the reference."""
     return bool(np.all(np.abs(q) < 100 * (1 + float(np.max(np.abs(reference.q))))))
 
 

@@ -1,4 +1,4 @@
-"""What really happened in a simulation, before any sensor saw it."""
+"""True motion and forces of a simulation, before any sensor."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ OFTEN_AT_LIMIT = 0.05
 
 @dataclass(frozen=True, eq=False)
 class PlantRun:
-    """What really happened, before any sensor saw it.
+    """The true motion and forces, before any sensor.
 
     Attributes:
         model: The plant.
@@ -31,11 +31,11 @@ class PlantRun:
         a: True accelerations (N, na).
         tau: Forces applied (N, na) [N or N m].
         stuck: Where friction held a joint (N, na).
-        reference: What the controller was asked for, on the same clock; None for a free motion.
-        q_read: What the encoders told the controller (N, na); None where it knew the true positions.
-        q_shown: What perfect encoders would show (N, na) where an effect makes them read beside the loads.
-        tau_shown: What perfect sensors would log of the forces (N, na) where an effect makes them late.
-        tool_shown: Where the tool is (N, 3) [m] where an effect moves carts off their guideways.
+        reference: Reference of the controller, on the same clock; None for a free motion.
+        q_read: Encoder readings that the controller used (N, na); None if it used the true positions.
+        q_shown: Readings of perfect encoders (N, na) if an effect makes them differ from the loads' positions.
+        tau_shown: Forces as perfect sensors would log them (N, na) if an effect delays them.
+        tool_shown: Position of the tool (N, 3) [m] if an effect moves carts off their guideways.
         compute_tool: Gives the tool's positions (N, 3) along positions (N, na) faster than the model, or None.
     """
 
@@ -54,7 +54,7 @@ class PlantRun:
     compute_tool: Callable[[np.ndarray], np.ndarray | None] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what is pickled: all but the compiled code of this process."""
+        """Return the state for pickling: all attributes except the compiled code of this process."""
         return {**self.__dict__, "compute_tool": None}
 
     @property

@@ -1,15 +1,15 @@
-"""What a recording shows of what happened: encoders that round, forces with coloured noise, a log rate, and effects on a log.
+"""Sensors between the true motion and the log: encoders that round, forces with coloured noise, a log rate, and effects on a log.
 
     q_shown = q + displacement @ parameters,     tau_shown(t) = tau(t - delay),     tool_shown = T(q) + shift @ parameters,
     q_read = resolution * round((q_shown + noise) / resolution),   tau_log = tau_shown + coloured noise.
 
 The plant moves the loads; encoders read in front of them. Where the displacement follows from the load's own path (a periodic
 error, a scale, a play, a loop), the controller reads it too. A `joint_compliance` reaches the log alone: its quasi-static law
-knows no resonance, which a feedback through it would excite. Carts off their guideways move the tool's position alone.
+has no resonance, which a feedback through it would excite. Carts off their guideways move the tool's position alone.
 
-A log is *sampled*, not averaged: drives write their registers at each log tick. So noise above half the log rate folds
-down, as it does in recordings, and positions and forces keep one clock; a mean over the ticks would delay them. Force noise
-has the spectrum asked for at the log rate. Encoder noise is white at the control rate, where it also enters the feedback.
+A log is *sampled*, not averaged: drives write their registers at each log tick. So noise above half the log rate folds down, as
+it does in recordings, and positions and forces keep one clock; a mean over the ticks would delay them. Force noise has the
+requested spectrum at the log rate. Encoder noise is white at the control rate, where it also enters the feedback.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _PATH = _FOR_FORCES | {"reversal", SHIFTED_FORCE}
 
 
 class EncoderErrors:
-    """What encoders read beyond their loads, from sample to sample."""
+    """Encoder readings minus the loads' positions, from sample to sample."""
 
     def __init__(self, model: Model) -> None:
         """Look up the displacements that follow from each joint's path."""
@@ -68,7 +68,7 @@ class EncoderErrors:
         return tuple(effect for effect, _ in self._effects)
 
     def read(self, q: np.ndarray) -> np.ndarray:
-        """Return what perfect encoders show of the next true positions (na,) [m or rad]."""
+        """Return the readings of perfect encoders for the next true positions (na,) [m or rad]."""
         if self._last is not None:
             self._memory.advance(q - self._last, 0.0)
         self._last = np.array(q)
@@ -81,7 +81,7 @@ class EncoderErrors:
 
 
 def record_run(run: PlantRun) -> PlantRun:
-    """Return a run with what perfect sensors show of it beside what happened; see `PlantRun`.
+    """Return a run with the readings of perfect sensors added to the true signals; see `PlantRun`.
 
     Raises:
         InputError: An effect is neither of the robot nor of its sensors.
@@ -114,7 +114,7 @@ def get_voltages(run: PlantRun, forces: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _read_forces(run: PlantRun) -> np.ndarray | None:
-    """Return the forces (N, na) that drives report of those they give; None where they report them as they are."""
+    """Return the forces (N, na) that drives report; None if these equal the true forces."""
     reading = [e for e in run.model.effects if isinstance(e, ForceReading)]
     signals: dict[str, np.ndarray] = {"force": run.tau, DELIVERED: run.tau}
     motion = Motion.of(run.model.robot.actuated, run.q, run.v, run.a, t=run.t, signals=signals)
@@ -176,7 +176,7 @@ def _record_forces(run: PlantRun) -> np.ndarray | None:
 
 
 def _shifted_tool(run: PlantRun) -> np.ndarray | None:
-    """Return where the tool is (N, 3) [m] with its carts shifted, or None where they are not or there is no tool."""
+    """Return the tool's position (N, 3) [m] with its carts shifted, or None without a shift or without a tool."""
     robot, mechanism = run.model.robot, run.model.mechanism
     effects = [e for e in run.model.effects if isinstance(e, CartShift)]
     if not effects or robot.tool_frame is None:
@@ -209,7 +209,7 @@ class Sensors:
         force_ar: Coefficients of `x_k = sum_i c_i x_{k-i} + e_k` that colour the force noise.
         force_power_law: Exponent b of a spectral density `1 / f^b` instead; 0 is white, 1 pink.
         tool_noise: Standard deviation of the tool position's noise, each axis [m].
-        tool: Whether the log has the tool's position, where the robot has a frame `tool`; a stock arm's flange is seldom tracked.
+        tool: Whether the log has the tool's position, if the robot has a frame `tool`; a stock arm's flange is seldom tracked.
         log_rate_hz: Rate of the log [Hz], an integer part of the control rate; None for the control rate.
     """
 
@@ -245,7 +245,7 @@ class Sensors:
         return cls(noise, step, force_noise_relative=0.01, force_ar=(0.5,), tool_noise=5e-5, log_rate_hz=log_rate_hz)
 
     def read_positions(self, q: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Return what encoders show of positions (N, na) [m or rad]."""
+        """Return the encoders' readings of positions (N, na) [m or rad]."""
         noise = broadcast_per_joint(self.encoder_noise, q.shape[1], "encoder_noise") * rng.standard_normal(q.shape)
         return self.rounded(q + noise)
 
@@ -254,7 +254,7 @@ class Sensors:
         return _round_to(q, broadcast_per_joint(self.encoder_resolution, q.shape[-1], "encoder_resolution"))
 
     def read_forces(self, tau: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Return what the drives report of forces (N, na) [N or N m]."""
+        """Return the forces that the drives report (N, na) [N or N m]."""
         absolute = broadcast_per_joint(self.force_noise, tau.shape[1], "force_noise")
         relative = broadcast_per_joint(self.force_noise_relative, tau.shape[1], "force_noise_relative")
         sd = np.hypot(absolute, relative * np.sqrt(np.mean(tau**2, axis=0)))
@@ -286,7 +286,7 @@ class Sensors:
 
 
 class EncoderReadings:
-    """What a controller reads of the true positions, sample by sample: its encoders' errors, noise, rounding."""
+    """A controller's readings of the true positions, sample by sample: encoder errors, noise, rounding."""
 
     def __init__(self, model: Model, sensors: Sensors, n_samples: int, rng: np.random.Generator) -> None:
         """Draw the noise of all samples."""
@@ -297,14 +297,14 @@ class EncoderReadings:
         self._errors = EncoderErrors(model)
 
     def __call__(self, k: int, q: np.ndarray) -> np.ndarray:
-        """Return what is read in sample k of positions (na,)."""
+        """Return the readings of positions (na,) in sample k."""
         return _round_to((self._errors.read(q) if self._errors.any else q) + self.noise[k], self.resolution)
 
 
 def measure(run: PlantRun, sensors: Sensors, rng: np.random.Generator, name: str = "simulated") -> Log:
     """Turn a run into a log with `q_J`, `tau_J`, `q_ref_J` and, with a tool frame, `x_tool y_tool z_tool`.
 
-    Positions are those the controller read where its feedback went through the encoders; else they are read here, so
+    Positions are those the controller read if its feedback used the encoders; else they are read here, so
     that one run can be measured with many seeds.
 
     Raises:
@@ -328,7 +328,7 @@ def measure(run: PlantRun, sensors: Sensors, rng: np.random.Generator, name: str
 
 
 def _round_to(q: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """Return positions (..., na) rounded to a step (na,) each, where it is not zero."""
+    """Return positions (..., na) rounded to a step (na,) each, if it is not zero."""
     return np.where(step > 0, np.round(q / np.where(step > 0, step, 1.0)) * step, q)
 
 

@@ -9,27 +9,27 @@ The profile moves the goal with at most `speed_limit` and `acceleration_limit`, 
 `steps_pass: 1` it acts on streamed goals only: commands that change within a tenth of a second of their last change, no faster
 than 5 rad/s. A step then is the goal at once.
 
-A cascade has a loop of speed inside: with a `speed_gain`, the first line of u is a wanted speed w, at most `speed_limit`, and
-u = speed_gain (w - v) + speed_integral_gain int (w - v) dt. `command` says what commands are: `position` (the default), `speed`
-(commands are w), `current` (commands are u [A], force_per_unit is the torque of one ampere) or `pwm` (commands are u).
+A cascade has an inner speed loop: with a `speed_gain`, the first line of u is a wanted speed w, at most `speed_limit`, and
+`u = speed_gain (w - v) + speed_integral_gain int (w - v) dt`. `command` gives the kind of the commands: `position` (the default),
+`speed` (commands are w), `current` (commands are u [A], force_per_unit is the torque of one ampere) or `pwm` (commands are u).
 
 The output takes `torque_delay` to become torque. A delay of the position that the law uses is a `torque_delay` and a
-`command_delay` of less; the two delays are all that a log tells. A spring of `joint_compliance` and `joint_damping`, and a
-play of `backlash`, may stand between the motor (its armature and friction) and the link; `encoder: motor` says that the law
-uses the motor's position (the default is `link`), `measured` which one the logs hold (by default the encoder's).
+`command_delay` of less; only the two delays can be estimated from a log. A spring of `joint_compliance` and `joint_damping`,
+and a play of `backlash`, may be between the motor (its armature and friction) and the link; with `encoder: motor` the law uses
+the motor's position (the default is `link`); `measured` names the one that the logs hold (by default the encoder's).
 
-The output `u` is a share of the supply voltage, as a hobby servo's pulse width is. `force_per_unit` is then the stall
-torque at the nominal supply, and `back_emf` the inverse of the speed without load. With `back_emf: 0` it is a torque or
-current servo. Where x opposes u, the motor brakes with the share `braking` of this torque; a bridge that freewheels has
-none. A bridge with much inductance and a slow pulse gives a torque that grows less than its pulse width, with an exponent
-below one. A law file is a controller file (see `controllers`) whose first line is `law: servo`:
+The output `u` is a share of the supply voltage, as a hobby servo's pulse width is. `force_per_unit` is then the stall torque at
+the nominal supply, and `back_emf` the inverse of the speed without load. With `back_emf: 0` it is a torque or current servo.
+Where x opposes u, the motor brakes with the share `braking` of this torque; a bridge that freewheels does not brake. A bridge
+with much inductance and a slow pulse gives a torque that grows less than its pulse width, with an exponent below one. A law
+file is a controller file (see `controllers`) whose first line is `law: servo`:
 
     law: servo
     position_gain: 2.65          # [1/rad], required
     force_per_unit: 2.94         # [N m], required
     back_emf: 0.2                # [s/rad]
     command_delay: {estimate: 0.02}   # a start value, to be estimated
-    logs:                        # what differs in some logs, by a pattern of their names
+    logs:                        # entries that differ in some logs, by a pattern of their names
       "kp800_*": {position_gain: 4.6}
     encoder: motor               # or link, the default
     command: position            # the default, or speed, current, pwm
@@ -57,7 +57,7 @@ from tau_dyn.robot import Robot
 
 
 class ServoEntry(NamedTuple):
-    """One number of a servo law: its unit, its value where the file says nothing, and what it is."""
+    """One number of a servo law: its unit, its default value, and its description."""
 
     unit: str
     default: float
@@ -97,14 +97,14 @@ SERVO_ENTRIES = {
 
 REQUIRED = ("position_gain", "force_per_unit")
 COMMANDS = ("position", "speed", "current", "pwm")
-"""What commands may be; the first is the default."""
+"""Kinds of commands; the first is the default."""
 _NEEDED = {"position": REQUIRED, "speed": ("speed_gain", "force_per_unit")}
 _OUTER = ("position_gain", "integral_gain", "derivative_gain", "dead_band")
 _UNUSED = {"position": (), "speed": (*_OUTER, "acceleration_limit", "steps_pass"), "current": (*_OUTER, "speed_gain",
            "speed_integral_gain", "speed_limit", "acceleration_limit", "steps_pass", "back_emf", "supply_sag")}  # fmt: skip
 _UNUSED["pwm"] = tuple(x for x in _UNUSED["current"] if x not in ("back_emf", "supply_sag"))
 SIDES = ("link", "motor")
-"""Where an encoder sits; the first is the default, as of hobby servos, whose potentiometer or magnet is on the output."""
+"""Side of an encoder; the first is the default, as on hobby servos, whose potentiometer or magnet is on the output."""
 _OTHER_KEYS = ("law", "logs", "enabled", "supply", "encoder", "measured", "command")
 _MAY_BE_INFINITE = ("limit", "speed_limit", "acceleration_limit")
 _DELAYS = ("command_delay", "torque_delay")
@@ -124,10 +124,10 @@ class ServoLaw:
         enabled: Column of a log that is zero where the motor is switched off; empty for always on.
         supply: Column of a log with the supply voltage; empty for the nominal one.
         nominal_supply: The voltage that `force_per_unit` holds for [V].
-        given: Whether somebody gave it; a law that is estimated from nothing knows no torque.
+        given: Whether the user gave the law; a law that is estimated without start values has no torque scale.
         encoder: Side of the joint, of `SIDES`, whose position and speed the law uses.
         measured: Side whose position the logs hold.
-        command: What commands are, of `COMMANDS`.
+        command: Kind of the commands, one of `COMMANDS`.
     """
 
     joints: tuple[str, ...]
@@ -152,7 +152,7 @@ class ServoLaw:
         command: str = COMMANDS[0],
         **entries: float | np.ndarray,
     ) -> ServoLaw:
-        """Build a law for joints; a single number holds for all of them, what is not named has its default."""
+        """Build a law for joints; a single number holds for all of them, an entry that is not named has its default."""
         for key in entries:
             if key not in SERVO_ENTRIES:
                 raise UnknownName("servo entry", key, SERVO_ENTRIES)
@@ -240,7 +240,7 @@ def build_servo_law(content: object, robot: Robot, where: str) -> ServoLaw:
     cascade = ("integral_gain", "derivative_gain") if "speed_gain" in given else ()
     for key in (*_UNUSED[command], *cascade):
         if key in given or any(key in row for row in by_log.values()):
-            raise InputError("file_format", f"{where}: '{key}' acts on nothing in a law of {command} commands"
+            raise InputError("file_format", f"{where}: '{key}' has no effect in a law of {command} commands"
                              f"{' with a speed_gain' if cascade else ''}; leave it out")  # fmt: skip
     for key in _NEEDED.get(command, REQUIRED[1:]):
         if key not in given:
@@ -325,10 +325,10 @@ def spread_over_joints(
 
     Args:
         key: Name of the entry.
-        value: What the file holds.
+        value: Value in the file.
         joints: Actuated joints.
         where: Begins sentences about the file.
-        default: Of joints that a mapping leaves out; nan where each must be named.
+        default: Value for joints that a mapping leaves out; nan if each must be named.
 
     Raises:
         InputError: A joint is unknown or has no entry, or the list has another length.

@@ -1,16 +1,16 @@
-"""Model, motion, controller and sensors in, a `Log` out; nothing after it knows that the robot was not real.
+"""Simulate a `Log` from a model, a motion, a controller and sensors; it has the form of a log of a real robot.
 
-The file behind `simulate --effects` says which effects hide in the robot, and with which numbers:
+The file of `simulate --effects` lists the effects of the simulated robot and their numbers:
 
     effects:
       - effect: asymmetric_friction
         joints: [cart1]                      # all actuated joints without this line
-        settings: {}                         # what the effect is not linear in, such as stribeck's {speed: 0.02}
+        settings: {}                         # nonlinear settings of the effect, such as stribeck's {speed: 0.02}
         label: ""                            # ends the parameters' names where one joint has the effect twice
         parameters: {coulomb_pos: 189.1}     # the quantity for each of these joints, or a full parameter name
     parameters: {plate_link.mass: 10.2}      # any parameter of the robot or of the effects
 
-What the file does not mention keeps the robot's nominal value, or zero.
+A parameter that the file does not mention keeps the robot's nominal value, or zero.
 """
 
 from __future__ import annotations
@@ -56,13 +56,13 @@ def simulate(
     Args:
         model: The true robot, with all its effects.
         motion: Reference; it is resampled to the control rate.
-        controller: By default a cascade with the robot's own gains, limited by its drives.
-        sensors: By default perfect ones at the control rate.
-        seed: Of all noise; the same seed gives the same log.
+        controller: Feedback; by default a cascade with the robot's own gains, limited by its drives.
+        sensors: Sensors; by default perfect ones at the control rate.
+        seed: Seed of all noise; the same seed gives the same log.
         rate_hz: Control rate, which is the plant's step [Hz].
         feedback: 'encoder' closes the loop through the encoders' noise and rounding, 'ideal' through true positions.
-        name: What the log is called.
-        progress: Is told the share that is done.
+        name: Name of the log.
+        progress: Called with the share that is done.
 
     Returns:
         A log with `q_J`, `tau_J`, `q_ref_J` and the tool's position; its warnings are the motion's notes and
@@ -97,7 +97,7 @@ def simulate_drive(
     feedback: Feedback = "encoder",
     progress: Progress | None = None,
 ) -> PlantRun:
-    """Return what really happens, to be measured by `measure`, if need be many times (`feedback='ideal'`)."""
+    """Return the true run, for `measure`, several times if needed (`feedback='ideal'`)."""
     if motion.joints != model.robot.actuated:
         expected, got = ", ".join(model.robot.actuated), ", ".join(motion.joints)
         raise InputError(
@@ -118,7 +118,7 @@ def simulate_drive(
 
 
 def _refuse_impossible_bodies(model: Model) -> None:
-    """Refuse inertial numbers that no distribution of mass has: such a plant can gain energy from nothing."""
+    """Refuse inertial parameters that no mass distribution can have: such a plant can create energy."""
     for link in model.robot.links:
         J = pseudo_inertia(link.map @ model.robot.parameters.select(link.names).values)
         if np.linalg.eigvalsh(J)[0] < -1e-9 * max(float(np.trace(J)), 1e-12):
@@ -140,7 +140,7 @@ def read_effects_file(path: str | Path, robot: Robot) -> Model:
     if not isinstance(content, dict) or not content or not set(content) <= {"effects", "parameters"}:
         raise InputError(
             "file_format",
-            f"{where}: an effects file holds 'effects', a list, and 'parameters', a mapping, and nothing else",
+            f"{where}: an effects file holds 'effects', a list, and 'parameters', a mapping, only",
         )
     rows = content.get("effects") or []
     effects = _effects(rows, robot, where)
@@ -180,7 +180,7 @@ def _mapping(value: object, where: str) -> dict[Any, Any]:
 
 
 def _check_names(effects: tuple[Effect, ...], where: str) -> None:
-    """Refuse two effects of one kind on one joint that nothing tells apart."""
+    """Refuse two effects of one kind on one joint that cannot be distinguished."""
     seen: set[str] = set()
     for effect in effects:
         for name in effect.parameters.names:

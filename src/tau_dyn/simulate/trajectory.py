@@ -1,6 +1,6 @@
-"""Reference motion of the actuated joints: what a controller is asked to follow.
+"""Reference motion of the actuated joints, which a controller follows.
 
-Positions, speeds and accelerations stand on one clock. They come from a generator (`motions.py`), from a recorded log or
+Positions, speeds and accelerations share one clock. They come from a generator (`motions.py`), from a recorded log or
 from a CSV file; between samples a quintic spline through the positions is the motion. Pieces are joined by minimum-jerk
 moves, `q(s) = q0 + (q1 - q0) (10 s^3 - 15 s^4 + 6 s^5)` (Flash & Hogan 1985), which start and end at rest.
 
@@ -47,7 +47,7 @@ class Trajectory:
         q: Positions (N, na) [m or rad].
         v: Speeds (N, na) [m/s or rad/s].
         a: Accelerations (N, na) [m/s^2 or rad/s^2].
-        name: What messages call it.
+        name: Name in messages.
         notes: Sentences about how it was made, such as a scaling that limits enforced.
     """
 
@@ -60,7 +60,7 @@ class Trajectory:
     notes: tuple[str, ...] = field(default=())
 
     def __post_init__(self) -> None:
-        """Freeze the arrays and refuse shapes that do not belong together, gaps in numbers, or a clock that stands still."""
+        """Freeze the arrays and refuse shapes that do not belong together, gaps in numbers, or a clock that does not advance."""
         object.__setattr__(self, "joints", tuple(self.joints))
         for key in ("t", "q", "v", "a"):
             array = np.array(getattr(self, key), dtype=float)
@@ -131,14 +131,14 @@ class Trajectory:
         return cls.from_log(Log(t, channels, table.name), joints)
 
     def to_csv(self, path: str | Path) -> None:
-        """Write `t`, `q_ref_J`, `v_ref_J`, `a_ref_J` with 12 significant digits, the whole file or none."""
+        """Write `t`, `q_ref_J`, `v_ref_J`, `a_ref_J` with 12 significant digits; a failed write leaves no partial file."""
         columns = {"t": self.t}
         for signal, values in (("q_ref", self.q), ("v_ref", self.v), ("a_ref", self.a)):
             columns |= {f"{signal}_{j}": values[:, k] for k, j in enumerate(self.joints)}
         write_whole(path, pd.DataFrame(columns).to_csv(index=False, float_format="%.12g", lineterminator="\n"))
 
     def resampled(self, rate_hz: float) -> Trajectory:
-        """Return the motion on a clock of this rate [Hz] that starts at zero, untouched where it stands there already."""
+        """Return the motion on a clock of this rate [Hz] that starts at zero; unchanged if it has this clock already."""
         n = int(np.floor(self.duration * rate_hz * (1 + 1e-9) + 1e-6)) + 1
         if n > _MAX_SAMPLES:
             raise InputError(
@@ -213,10 +213,10 @@ def concatenate(
 
     Args:
         pieces: Motions of the same joints, each starting and ending with speed zero.
-        rest: Time to stand still before each move [s].
+        rest: Rest before each move [s].
         speed: Highest speed of a move [m/s or rad/s].
         rate_hz: Sampling rate of the result [Hz].
-        name: What messages call the result.
+        name: Name of the result in messages.
 
     Raises:
         InputError: There are no pieces, their joints differ, or one does not start and end at rest.
@@ -251,7 +251,7 @@ class MotionProfile(NamedTuple):
 
 
 class Segment(NamedTuple):
-    """A piece of a path: for `duration` [s] the speed goes from `start` to `end`."""
+    """A piece of a path: for `duration` [s] the speed changes from `start` to `end`."""
 
     duration: float
     start: float
@@ -264,7 +264,7 @@ class Segment(NamedTuple):
 
 
 def build_speed_profile(t: np.ndarray, segments: Sequence[Segment]) -> MotionProfile:
-    """Return the path through segments, from zero at time zero, at times (N,); the last speed goes on after the end."""
+    """Return the path through segments, from zero at time zero, at times (N,); the last speed continues after the end."""
     duration, start, end = (
         np.array(x, float) for x in zip(*segments, (np.inf, segments[-1].end, segments[-1].end), strict=True)
     )

@@ -1,8 +1,8 @@
 """Vibration logs of a flexible robot near a pose: references or pushes in, a `Log` out.
 
-Inputs are deviations from rest, held from sample to sample; what the log shows at its samples is then exact, not integrated
+Inputs are deviations from rest, held from sample to sample; the log's samples are then exact, not integrated
 (`mechanism/flexible/linear_system.py`). A log has `q_ref_J`, `q_J`, the tool's position `x_tool ..`, its acceleration
-`ax_tool ..` as an accelerometer reads it and, where something pushed, the force `fx_tool ..` [N]. Valid near the pose: drives
+`ax_tool ..` as an accelerometer reads it and, if there are pushes, the force `fx_tool ..` [N]. Valid near the pose: drives
 and tool may move by some millimetres. Friction is left out.
 """
 
@@ -21,13 +21,13 @@ from tau_dyn.mechanism import AXES, Linearised, PositionDrives
 
 @dataclass(frozen=True)
 class VibrationSensors:
-    """What measures a vibration; zero is perfect.
+    """Sensors of a vibration; zero is perfect.
 
     Attributes:
         encoder_noise: Standard deviation of the drives' positions [m or rad].
-        tool_noise: Of the tool's position, each axis [m].
-        acceleration_noise: Of the tool's acceleration, each axis [m/s^2].
-        accelerometer_hz: The accelerometer's bandwidth [Hz]; None where there is no accelerometer.
+        tool_noise: Standard deviation of the tool's position, each axis [m].
+        acceleration_noise: Standard deviation of the tool's acceleration, each axis [m/s^2].
+        accelerometer_hz: The accelerometer's bandwidth [Hz]; None if there is no accelerometer.
     """
 
     encoder_noise: float = 0.0
@@ -62,17 +62,17 @@ def simulate_vibration_log(
     seed: int = 0,
     name: str = "vibration",
 ) -> Log:
-    """Return what a flexible robot's sensors show of given inputs.
+    """Return the log of a flexible robot's sensors for given inputs.
 
     Args:
         flexible: The robot near its pose.
         reference: Reference positions of the drives, as deviations from the pose (N, na) [m or rad].
         force: Outside force (N, 3) [N], base axes.
         dt: Step of inputs and log [s].
-        drives: By default the drives follow their reference at once.
-        sensors: By default perfect ones.
-        seed: Of all noise.
-        name: What the log is called.
+        drives: Dynamics of the drives; by default they follow their reference at once.
+        sensors: Sensors; by default perfect ones.
+        seed: Seed of all noise.
+        name: Name of the log.
 
     Raises:
         InputError: Shapes do not fit, or the drives' delay is not a whole number of steps.
@@ -117,17 +117,17 @@ def simulate_binary_log(
     Args:
         flexible: The robot near its pose.
         duration: Length [s].
-        rate_hz: Of references and log [Hz].
+        rate_hz: Sampling rate of references and log [Hz].
         amplitude: References jump between plus and minus this [m or rad].
         hold: Samples between two possible jumps; the excitation reaches up to about half of `rate_hz / hold`.
         joints: Those that move; by default all.
-        drives: By default the drives follow their reference at once.
-        sensors: By default perfect ones.
-        seed: Where the sequence starts, and of all noise.
-        name: What the log is called.
+        drives: Dynamics of the drives; by default they follow their reference at once.
+        sensors: Sensors; by default perfect ones.
+        seed: Seed of the sequence's start and of all noise.
+        name: Name of the log.
 
     Raises:
-        InputError: The log would hold fewer than two samples, or nothing is asked to move.
+        InputError: The log would hold fewer than two samples, or no joint is to move.
     """
     n = _samples(duration, rate_hz)
     moved = _moved(flexible, joints)
@@ -169,14 +169,14 @@ def push_log(
         flexible: The robot near its pose.
         directions: `x`, `y`, `z`, or several of them, such as `xyz`, which take turns.
         duration: Length of the log [s].
-        rate_hz: Of the log [Hz].
-        impulse: Of each push [N s].
-        width: Of each push [s].
+        rate_hz: Sampling rate of the log [Hz].
+        impulse: Impulse of each push [N s].
+        width: Duration of each push [s].
         repeat: Number of pushes, evenly spread, by default one a direction; each comes after 2 % of its share of the time.
         drives: Hold still here; their delay must fit the rate.
-        sensors: By default perfect ones.
-        seed: Of all noise.
-        name: What the log is called.
+        sensors: Sensors; by default perfect ones.
+        seed: Seed of all noise.
+        name: Name of the log.
 
     Raises:
         InputError: A push does not fit, or there is no such direction.

@@ -199,7 +199,7 @@ def test_what_the_candidates_do_not_tell_is_named() -> None:
     design = build_design(l1_geometry(), still, (1e-4,), workspace=candidates())
     assert any("arm3" in name for name, _ in design.untold)
     choice = choose_from(design, 12)
-    assert any("no candidate tells" in text for text in choice.warnings)
+    assert any("no candidate shows" in text for text in choice.warnings)
     assert any(name.startswith("arm3.") for name in choice.not_identifiable)
 
 

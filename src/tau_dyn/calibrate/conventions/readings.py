@@ -75,7 +75,7 @@ def apply_reading_alike(reading: Reading, poses: PoseSet) -> PoseSet:
             raise InputError(
                 "mismatch",
                 f"{poses.source} has no orientations, and its positions cannot be read as those of the training poses: "
-                f"{change.words}; measure both alike",
+                f"{change.words}; measure both in the same way",
             )
         if poses.rotation is not None or change.acts_on != "orientations":
             poses = change.apply(poses)

@@ -235,7 +235,7 @@ def _rename_columns(table: Table, map_: ColumnMap) -> Table:
         InputError: The map reads further files.
     """
     if map_.files:
-        raise InputError("unsupported", f"{map_.name}: poses stand in one file; leave out files")
+        raise InputError("unsupported", f"{map_.name}: poses are in one file; leave out files")
     return replace(table, cells={**table.cells, **compute_mapped_columns({None: table}, map_)})
 
 
@@ -258,7 +258,7 @@ def _check_columns(table: Table, actuated: Sequence[str], passive: Sequence[str]
         raise InputError(
             "missing_column",
             f"{table.name} has no column {format_names(missing)}; calibration poses need {format_names(wanted)} "
-            f"(or {DISTANCE}, or what the target touches: {format_names(TOUCHES)}) and, where the orientation "
+            f"(or {DISTANCE}, or the touched object: {format_names(TOUCHES)}) and, where the orientation "
             f"was measured, {format_names(QUATERNION)}, or a rotation vector or Euler angles {format_names(ANGLES)}; "
             f"it has {format_names(table.cells)}",
         )

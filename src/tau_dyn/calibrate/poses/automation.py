@@ -324,7 +324,7 @@ def _device_for(geometry: Geometry, device: MeasuringDevice | FixtureSet | None)
     if isinstance(device, ToolCamera) and not geometry.orients:
         raise InputError(
             "unsupported",
-            "a camera on the tool needs a tool that turns; mount the camera beside the robot, the pattern on the tool",
+            "a camera on the tool needs a tool that turns; mount the camera next to the robot, the pattern on the tool",
         )
     if isinstance(device, Camera) and not geometry.orients:
         return replace(device, steady=True)  # all pictures show one orientation
@@ -355,7 +355,7 @@ def _predictable(reach: Reachable, geometry: Geometry) -> Reachable:
     if not len(good):
         raise CannotAnswer(
             "no_solution",
-            "the model to be calibrated reaches none of the poses",
+            "the model to be calibrated reaches no pose",
             "another model, or a robot file that agrees with it",
         )
     return Reachable(reach.q[good], reach.tool.take(good), reach.check, reach.warnings)

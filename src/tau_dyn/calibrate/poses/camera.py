@@ -184,7 +184,7 @@ class Camera(StandingDevice):
             except np.linalg.LinAlgError:
                 raise InputError(
                     "unsupported",
-                    "the pattern's corners in the pictures do not tell its pose; check its size, the focal length, the distance",
+                    "the pattern's corners in the pictures do not determine its pose; check its size, the focal length, the distance",
                 ) from None
             position = position + step[:, :3]
             if turns:
@@ -284,7 +284,7 @@ def read_camera(path: str | Path) -> Camera:
     if mount not in ("base", "tool"):
         camera.fault(f"mount must be base or tool, not {mount}")
     if mount == "tool" and "choose" in root.content:
-        root.fault("`choose` places a camera that stands still; leave it out for a camera on the tool")
+        root.fault("`choose` places a fixed camera; leave it out for a camera on the tool")
     pattern = root.part("pattern", {"columns", "rows", "square", "border", "position", "normal", "up"})
     limits = root.part("limits", {"distance", "incidence", "margin"}, needed=False)
     image = camera.numbers("image", 2, low=1)
@@ -323,7 +323,7 @@ def _read_places(root: FilePart, place: np.ndarray) -> np.ndarray | None:
         return np.column_stack([place, place])
     if not isinstance(root.content["choose"], Mapping):
         root.fault(
-            "choose must be `direction`, or hold the ranges of x, y and z in which the camera may stand, such as "
+            "choose must be `direction`, or hold the ranges of x, y and z in which the camera may be, such as "
             f"{{position: [[3, 7], [-2, 1], [0.2, 2]]}}, not {root.content['choose']}"
         )
     ranges = root.part("choose", {"position"})

@@ -326,7 +326,7 @@ def _warnings(
         )
     for name, shift in design.untold[:3]:
         said.append(
-            f"no candidate tells {name}, which moves the tool elsewhere in the workspace: an error "
+            f"no candidate shows {name}, which moves the tool elsewhere in the workspace: an error "
             f"of its usual size leaves {1e3 * shift:.3g} mm"
         )
     if n == "auto" and target is not None and made.rms > target:

@@ -177,7 +177,9 @@ def build_design(
     frames = frames if frames is not None else DeviceFrames()
     unknowns = collect(geometry, frames, fix=fix, free=free, device=device, tool=tool, turned=turned)
     if not unknowns.free.any():
-        raise InputError("invalid_value", "no parameter is free that poses could tell; free some, or leave `fix` out")
+        raise InputError(
+            "invalid_value", "no parameter is free that poses could determine; free some, or leave `fix` out"
+        )
     slopes, base, ok = _slopes(geometry, frames, unknowns, poses, turned)
     if not ok.all():
         raise InputError(
@@ -192,7 +194,9 @@ def build_design(
     flat = (slopes / _mean_sigma(cov, poses.device)[:, :, None]).reshape(-1, slopes.shape[2])
     found = find_identifiable(flat, names, scales, unknowns.priority[unknowns.free], get_blind_limit(poses))
     if not found.rank:
-        raise InputError("invalid_value", "no parameter is free that poses could tell; free some, or leave `fix` out")
+        raise InputError(
+            "invalid_value", "no parameter is free that poses could determine; free some, or leave `fix` out"
+        )
     there = q if workspace is None else _checked_q(geometry, workspace)
     if poses.shows_frames:
         shifts, _, good = _slopes(geometry, frames, unknowns, _without_values(there), geometry.orients)

@@ -214,7 +214,7 @@ def require_accuracy(choice: PoseChoice, rehearsal: MonteCarloCalibration, requi
         name, shift = max(design.untold, key=lambda row: row[1])
         raise CannotAnswer(
             "not_identifiable",
-            f"no candidate tells {name}, and an error of its usual size leaves {1e3 * shift:.3g} mm "
+            f"no candidate shows {name}, and an error of its usual size leaves {1e3 * shift:.3g} mm "
             "elsewhere in the workspace",
             "candidates over the whole workspace: another place for the device, fewer obstacles, or one more device",
         )

@@ -285,7 +285,9 @@ def place_camera(
         CannotAnswer: No place sees enough poses; the message names the most frequent reason.
     """
     if site.camera.places is None:
-        raise InputError("missing_input", "nothing of the camera is to be chosen; state it with `choose` in its file")
+        raise InputError(
+            "missing_input", "no property of the camera is to be chosen; state it with `choose` in its file"
+        )
     require_numbers(site.design, n)
     least = compute_min_poses(site.design)
     count = 3 * least if n == "auto" else n

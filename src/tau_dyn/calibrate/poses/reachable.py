@@ -297,8 +297,8 @@ _HELP = {
     "pattern seen at": "a pattern that faces the camera",
     "behind": "a camera that looks at the robot",
     "reflector": "a reflector that faces the tracker",
-    "below": "a tracker that stands lower or farther away",
-    "above": "a tracker that stands higher or farther away",
+    "below": "a tracker at a lower or farther place",
+    "above": "a tracker at a higher or farther place",
     "hidden": "another place for the device, or fewer obstacles",
 }
 
@@ -357,7 +357,7 @@ def find_visible(
         place = ", ".join(f"{x:g}" for x in np.asarray(device.find_places(poses.tool))[0])
         raise InputError(
             "invalid_value",
-            f"the {device.name} at ({place}) m stands inside the obstacle '{blocking[0]}'; move one of them",
+            f"the {device.name} at ({place}) m is inside the obstacle '{blocking[0]}'; move one of them",
         )
     why = device.reasons(poses.tool)
     why = np.where((why == SEEN) & (blocking != SEEN), "in " + blocking, why)

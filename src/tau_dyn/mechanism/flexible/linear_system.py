@@ -3,12 +3,12 @@
     x' = A x + B u(t - T),   y = C x + D u(t - T)
 
 Inputs are held between samples (zero-order hold), each late by its own delay; then sampling is exact, by the matrix exponential.
-What a log shows at sample k is the output at `k dt`, before the input of that instant has acted, unless `D` passes it on at once.
+Sample k of a log is the output at `k dt`, before the input of that instant has acted, unless `D` passes it on at once.
 Reference: Astrom & Wittenmark 1997, Computer-Controlled Systems, ch. 2.
 
 The thesis' closed drives, (6.11), are `G_a(q) = q^-d b / (1 - a q^-1)` at 4 ms. Sampling `1 / (T s + 1)` with a held input
-gives one step of that `q^-d` by itself, so the pure delay is `d - 1` steps and `T = -dt / ln a`. The robot does not push the
-drives away: its motion has no effect on them.
+gives one step of that `q^-d` by itself, so the pure delay is `d - 1` steps and `T = -dt / ln a`. The robot's motion has no
+effect on the drives.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ class PositionDrives:
     """One first-order lag a joint, and a delay.
 
     Attributes:
-        time_constants: One a joint [s].
-        delay: Of all joints [s].
+        time_constants: Time constant of each joint [s].
+        delay: Delay, the same for all joints [s].
     """
 
     time_constants: tuple[float, ...]
@@ -64,7 +64,7 @@ class ContinuousModel:
         D: (p, m).
         inputs: Names of the inputs.
         outputs: Names of the outputs.
-        delay: By which each input acts late (m,) [s].
+        delay: Delay of each input (m,) [s].
     """
 
     A: np.ndarray
@@ -139,7 +139,7 @@ class SampledModel:
         dt: Step [s].
         inputs: Names of the inputs.
         outputs: Names of the outputs.
-        delay: Whole steps by which each input acts late (m,).
+        delay: Delay of each input in whole steps (m,).
     """
 
     A: np.ndarray

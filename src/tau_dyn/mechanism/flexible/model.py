@@ -1,7 +1,7 @@
-"""A robot whose springs may yield: linearised about a pose, its natural modes, static compliance and state space.
+"""A robot with springs: linearised about a pose, its natural modes, static compliance and state space.
 
-With `z = [a; s]`, the actuated positions and the springs' deflections, the mechanism is an ordinary rigid one whose loops
-close as ever. A drive's spring yields between the drive, where `a` is measured, and the link: the joint is at `a + s`, and
+With `z = [a; s]`, the actuated positions and the springs' deflections, the mechanism is an ordinary rigid one whose loops close
+in the same way. A drive's spring yields between the drive, where `a` is measured, and the link: the joint is at `a + s`, and
 the drive's inertia moves with `a` alone. Virtual work gives
 
     M(z) z'' + h(z, z') + [0; k s + d s'] = [tau; 0] + J_f' f.
@@ -12,7 +12,7 @@ At rest with the actuators held, the springs sag until `h_s + k s = 0`. About th
 
     M_ss s'' + D_ss s' + K_ss s = -M_sa a'' - K_sa a + J_fs' f.
 
-Accelerations of the input are no input one wants to log, so they are absorbed: with `F = -M_ss^-1 M_sa`, `s = F a + x1` and
+Accelerations of the input are rarely logged, so they are eliminated: with `F = -M_ss^-1 M_sa`, `s = F a + x1` and
 `x2 = x1' + M_ss^-1 D_ss F a`,
 
     x1' = x2 - M_ss^-1 D_ss F a
@@ -41,7 +41,7 @@ from tau_dyn.robot import Robot, load_robot_from_urdf
 
 @dataclass(frozen=True, eq=False)
 class NaturalMode:
-    """One way a robot vibrates while its actuators stand still.
+    """A vibration mode of a robot with its actuators at rest.
 
     Attributes:
         frequency_hz: Undamped natural frequency, `|s| / 2 pi`.
@@ -62,16 +62,16 @@ class Linearised:
 
     Attributes:
         robot: The rigid robot.
-        springs: Names of the spring joints, of drives last; all matrices have the actuated joints first, then these.
+        springs: Names of the spring joints, those of drives last; all matrices have the actuated joints first, then these.
         q: Actuated positions (na,).
         deflection: The springs' deflection at rest (ns,).
         M: Mass matrix (n, n).
         D: Damping matrix (n, n).
         K: Stiffness matrix (n, n), with the weight's share.
         tool: The tool's velocity per coordinate's (3, n), in base axes.
-        pushed: The same of the point that outside forces act on (3, n).
-        tool_position: At rest (3,) [m].
-        unloaded_position: Of the tool where no spring is deflected, the drives at the same positions (3,) [m].
+        pushed: The same for the point that outside forces act on (3, n).
+        tool_position: Position of the tool at rest (3,) [m].
+        unloaded_position: Position of the tool without deflection of any spring, at the same positions of the drives (3,) [m].
     """
 
     robot: Robot
@@ -98,7 +98,7 @@ class Linearised:
         return np.sqrt(values) / (2 * np.pi)
 
     def modes(self) -> tuple[NaturalMode, ...]:
-        """Return the damped modes with the actuators held, slowest first; what is damped beyond swinging is left out."""
+        """Return the damped modes with the actuators held, slowest first; overdamped modes are left out."""
         A = self._springs_alone()
         poles, vectors = np.linalg.eig(A)
         found = []
@@ -202,7 +202,7 @@ _WORLD = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
 @dataclass(frozen=True, eq=False)
 class _Rest:
-    """Where the robot rests: all coordinates (n,) and the tree's configuration (nq,)."""
+    """Rest position of the robot: all coordinates (n,) and the tree's configuration (nq,)."""
 
     z: np.ndarray
     tree: np.ndarray
@@ -223,12 +223,12 @@ def require_file_masses(robot: Robot) -> None:
 
 
 class FlexibleModel:
-    """A robot file's springs set free.
+    """A robot with the springs of its file as coordinates.
 
     Attributes:
         robot: The rigid robot, springs locked.
         springs: Its springs, those of its drives last; the order of all deflections.
-        freed: The same robot with its springs as coordinates beside the actuated joints.
+        freed: The same robot with its springs as coordinates in addition to the actuated joints.
         mechanism: Rigid-body dynamics in all those coordinates.
     """
 
@@ -309,13 +309,13 @@ class FlexibleModel:
         return q
 
     def _rest(self, q: np.ndarray, sag: bool) -> _Rest:
-        """Return where the robot rests with its actuators at `q`: Newton with the springs' own stiffness as slope."""
+        """Return the rest position of the robot with its actuators at `q`: Newton with the springs' own stiffness as slope."""
         na = self.robot.na
         z = np.concatenate([q, np.zeros(len(self.springs))])
         k = self._stiffness[na:]
         for _ in range(100 if sag else 0):
             slack = (self._bias(z)[na:] + k * z[na:]) / k
-            if not np.abs(slack).max() < 0.2:  # [m or rad] also stops what runs away
+            if not np.abs(slack).max() < 0.2:  # [m or rad] also stops a diverging iteration
                 break
             z[na:] -= slack
             if np.abs(slack).max() < 1e-11:

@@ -1,4 +1,4 @@
-"""Springs that a person states for a robot whose file gives none, written into its file: of its rods and of its drives.
+"""Springs of rods and drives that a user states for a robot whose file has no springs, written into its file.
 
 A rod's spring is a slide `<rod>_stretch` along the rod, without mass, where the rod meets the loop's ball joint; files that
 have such a slide keep it and change its stiffness. A drive's spring is a `<tau_dyn:drive_spring>`. A stiffness of infinity
@@ -43,7 +43,7 @@ def state_springs(
         robot: The robot, with the masses of its file.
         rods: Stiffness of each rod with its joints [N/m], inf for rigid; None leaves the rods as they are.
         drives: Stiffness between drive and link by actuated joint [N/m or N m/rad], inf for rigid.
-        drive_stderrs: Standard errors of the drives' stiffness by joint, none unless given.
+        drive_stderrs: Standard errors of the drives' stiffness by joint, not written by default.
 
     Raises:
         InputError: A stiffness is not above zero, the robot has no rods that can be given springs, or its masses are not
@@ -77,7 +77,7 @@ def _require_positive(stiffness: float, what: str) -> None:
 
 
 def _set_spring(root: Element, tag: str, joint: str, stiffness: float, stderr: float = 0.0) -> None:
-    """Replace a joint's spring of a kind; infinity leaves none, a standard error of zero is not written."""
+    """Replace a joint's spring of a kind; infinity removes it, a standard error of zero is not written."""
     for old in [e for e in root.findall(_OURS + tag) if e.get("joint") == joint]:
         root.remove(old)
     if np.isfinite(stiffness):

@@ -11,7 +11,7 @@ last.
 
 The nominal closure (`mechanism/loop_arrays.py`) gives the assembly mode and the start; Newton steps on the passive
 joints do the rest. Two kinds of deficiency belong to a mechanism and not to a configuration: a rod between two ball
-joints spins freely, and ball constraints in a planar loop ask for what its joints cannot give. So the rank of `J_p` is
+joints spins freely, and ball constraints in a planar loop require motions that its joints do not have. So the rank of `J_p` is
 that of the nominal robot at home: singular directions beyond it are left alone (the rod does not spin), and only that
 part of the gaps is closed which the nominal robot's joints can close at the same `q` (`U' c = 0`, U a basis of the
 range of its `J_p`); the rest stays open, as in the clearance of real bearings. `U` does not depend on the parameters,
@@ -44,11 +44,11 @@ class OpenRates(NamedTuple):
     """Derivatives before the loops pass them on.
 
     Attributes:
-        gap_by_parameter: (3 * loops, p, N).
-        gap_by_position: By all joints' positions (3 * loops, nv, N).
+        gap_by_parameter: Derivative by the parameters (3 * loops, p, N).
+        gap_by_position: Derivative by all joints' positions (3 * loops, nv, N).
         tool_by_parameter: Twist (6, p, N), linear first.
         tool_by_position: Twist (6, nv, N).
-        position_by_parameter: Of the actuated joints (na, p, N).
+        position_by_parameter: Positions of the actuated joints (na, p, N).
     """
 
     gap_by_parameter: np.ndarray
@@ -130,7 +130,7 @@ def propagate_twists(
         shape: The tree.
         found: Derivatives before the loops.
         inverse: `J_p^+` (N, passive, 3 * loops).
-        gain: Of the actuated joints (na,).
+        gain: Gain of the actuated joints (na,).
     """
     by_active = _samples_first(shape.gather(found.tool_by_position))
     by_parameter = _samples_first(found.tool_by_parameter) + by_active @ _samples_first(found.position_by_parameter)
@@ -172,12 +172,12 @@ def _tool_by_position(shape: TreeShape, numbers: TreeNumbers, at: Frames, tool: 
 def _pushed(
     numbers: TreeNumbers, knob: Knob, at: Frames, x: np.ndarray
 ) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray]:
-    """Return how a placement's parameter moves what the joint carries: shift (3, N), turn (3, N) and the turn's pivot (3, N)."""
+    """Return a joint's motion per parameter of its placement: shift (3, N), turn (3, N) and the turn's pivot (3, N)."""
     joint = numbers.joints[knob.at]
     origin = at.origin[joint.index]
     if knob.kind == "origin":
         return _vector(at, joint.parent, knob.direction), None, origin
-    if joint.slides:  # the frame's origin slid away from where the joint sits
+    if joint.slides:  # the frame's origin has moved away from the joint's placement
         origin = origin - at.axis[joint.index] * x[joint.v]
     turn = _vector(at, joint.parent, joint.rotation @ numbers.turned[knob.at] @ knob.direction)
     return None, turn, origin
@@ -201,9 +201,9 @@ _MAX_ITERATIONS = 40  # Newton steps to closed loops
 _DONE = 1e-12  # [m or rad] Newton's last step
 _STEP = 0.3  # [m or rad] longest step at once
 _MAX_PASSIVE_MOTION = 0.8
-"""[m or rad] what passive joints may move away from the nominal closure; more is another assembly mode."""
+"""[m or rad] largest motion of passive joints from the nominal closure; more is another assembly mode."""
 _SINGULAR = 1e-7  # smallest kept singular value relative to the largest, columns scaled to unit length at home
-_OPEN = 1e-8  # [m] what a loop that can close may leave
+_OPEN = 1e-8  # [m] largest remaining gap of a loop that can close
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +226,7 @@ class ClosedConfigurations:
 
 
 class _Nominal(NamedTuple):
-    """The robot file's closures: positions (nv, N), why there is none (N,), what can be closed (N, 3 * loops, rank)."""
+    """The robot file's closures: positions (nv, N), reasons for failure (N,), range of `J_p` (N, 3 * loops, rank)."""
 
     x: np.ndarray
     reason: np.ndarray
@@ -234,7 +234,7 @@ class _Nominal(NamedTuple):
 
 
 class TreeClosure:
-    """Closes one robot's loops. What it keeps saves work and changes no result: a closure depends on its own numbers alone."""
+    """Closes one robot's loops. Its cache saves time and changes no result: a closure depends on its own numbers alone."""
 
     def __init__(self, shape: TreeShape) -> None:
         """Find the rank and scale of the passive Jacobian at the nominal robot's home."""
@@ -282,7 +282,7 @@ class TreeClosure:
         return self._nominal[key]
 
     def _range(self, x: np.ndarray) -> np.ndarray:
-        """Return what the nominal joints can close: an orthonormal basis (N, 3 * loops, rank) of the range of `J_p`."""
+        """Return the gaps that the nominal joints can close: an orthonormal basis (N, 3 * loops, rank) of the range of `J_p`."""
         J = self._arrays.jacobian(compute_frames(self._arrays.joints, np.where(np.isfinite(x), x, 0.0)))
         return np.linalg.svd(J / self.scale, full_matrices=False)[0][:, :, : self.rank]
 

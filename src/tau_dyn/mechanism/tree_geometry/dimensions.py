@@ -1,15 +1,15 @@
-"""A tree with loops, taken apart: its dimensions as named parameters, what each of them moves, and the tree at given values.
+"""A tree with loops as named parameters: its dimensions, the part that each of them moves, and the tree at given values.
 
-Joint j sits at `origin` [m] in its parent link's frame, turned by the robot file's rotation times `exp([r]x)`:
+Joint j is at `origin` [m] in its parent link's frame, turned by the robot file's rotation times `exp([r]x)`:
 `<joint>.rx ry rz` is a small rotation vector in the joint's own axes [rad], zero in the file. An actuated joint moves
 by `gain * q + offset`. Loops join points of two links: `<link>.anchor_x..`, or `<rod>.length` where the link is a rod
 that hangs on passive turns, so that only the distance from those to the point matters. Reference: Mooring, Roth &
 Driels 1991, ch. 2; Khalil & Dombre 2002, ch. 11.
 
-Left out of a fit unless asked for (`free=False`): what another parameter does just as well (a turn of a revolute joint
-about its own axis is its offset, a shift of a slide along itself likewise), the axes of a universal joint, gear ratios,
-the tool's place (the fit has `tool.x` .. of its own), and what does not reach the tool at all, such as where the six
-joints sit that stand for a free plate.
+Left out of a fit unless requested (`free=False`): parameters with the same effect as another one (a turn of a revolute joint
+about its own axis and a shift of a slide along itself equal its offset), the axes of a universal joint, gear ratios, the tool's
+position (the fit has its own `tool.x` ..), and parameters without effect on the tool, such as the positions of the six joints
+that represent a free plate.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class TreeShape:
 
 
 class Knob(NamedTuple):
-    """What one parameter does.
+    """The effect of one parameter.
 
     Attributes:
         kind: 'origin', 'rotation', 'offset', 'gain', 'anchor', 'length' or 'tool'.
@@ -120,9 +120,9 @@ class TreeNumbers:
         turned: Right Jacobian (3, 3) of each joint's rotation vector.
         points: The loops' points in their joints' frames (2 * loops, 3) [m].
         tool: The tool point in its joint's frame (3,) [m].
-        gain: Of the actuated joints (na,).
-        offset: Of the actuated joints (na,) [m or rad].
-        key: The parameters' values as bytes, which tell these numbers from others of the same tree.
+        gain: Gain of the actuated joints (na,).
+        offset: Offset of the actuated joints (na,) [m or rad].
+        key: The parameters' values as bytes, which distinguish these numbers from others of the same tree.
     """
 
     joints: list[Joint]
@@ -135,7 +135,7 @@ class TreeNumbers:
 
 
 def get_shape(robot: Robot, tool: str | None = None) -> TreeShape:
-    """Take a robot apart.
+    """Read the parameters of a robot.
 
     Args:
         robot: The robot.
@@ -168,7 +168,7 @@ def compute_tool_frame(robot: Robot, tool: str | None = None) -> int:
 
     Raises:
         InputError: There is no frame `tool` and the robot has several chains.
-        UnknownName: The frame that was asked for does not exist.
+        UnknownName: The requested frame does not exist.
     """
     model = robot.model
     if tool is not None:
@@ -228,7 +228,7 @@ def _anchor(model: pin.Model, link: str, point: np.ndarray) -> Anchor:
 
 
 def _parent_links(robot: Robot, joints: Sequence[Joint]) -> tuple[pin.SE3, ...]:
-    """Return where each joint's parent link sits in the parent joint's frame: not at its origin behind a fixed joint."""
+    """Return the placement of each joint's parent link in the parent joint's frame: not the origin after a fixed joint."""
     parents = {e.get("name", ""): _parent(e) for e in fromstring(robot.urdf).findall("joint")}
     model = robot.model
     return tuple(
@@ -244,13 +244,13 @@ def _parent(joint: Element) -> str:
 
 _ALIGNED = 1 - 1e-9  # cosine from which two directions are one
 PRIORITY = {"length": 0, "offset": 0, "origin": 1, "rotation": 1, "anchor": 1, "gain": 2, "tool": 3}
-"""Of parameters that depend on each other, kinds with smaller numbers are kept; among equals those that poses show best.
-Placements are equals: an order among them would keep combinations that are told apart only by how far the axes of this
-one machine are from parallel."""
+"""Among parameters that depend on each other, kinds with smaller numbers are kept; in one kind those that poses determine best.
+Placements are equal: an order among them would keep combinations that are distinguished only by the deviation of this machine's
+axes from parallel."""
 
 
 class TreeParameter(NamedTuple):
-    """A parameter and what it does."""
+    """A parameter and its effect."""
 
     parameter: Parameter
     knob: Knob
@@ -321,7 +321,7 @@ def _tool_rows(shape: TreeShape) -> list[TreeParameter]:
 
 
 def is_rod(shape: TreeShape, k: int) -> bool:
-    """Whether a loop's point is the end of a rod: a link that carries nothing else, on passive turns that meet in a point."""
+    """Whether a loop's point is the end of a rod: a link that carries no other link, on passive turns that meet in a point."""
     end = shape.ends[k]
     if sum(other.joint == end.joint for other in shape.ends) > 1 or end.joint in shape.tool.carriers:
         return False

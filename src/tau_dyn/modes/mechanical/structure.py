@@ -299,7 +299,7 @@ def convert_to_continuous(model: StateSpace, derivative: int = 0, hold: str = HE
     if not len(z):
         raise CannotAnswer(
             "not_identifiable",
-            "every pole of the model lies at or beyond half the sampling rate",
+            "every pole of the model is at or beyond half the sampling rate",
             "choose another order, or sample faster than twice the highest resonance",
         )
     poles, dt = np.log(z) / model.dt, model.dt
