@@ -90,7 +90,7 @@ class RodFamily(Family):
         if addition == "elastic" and self.rails and not self.poses.loads.any():
             return "without known loads drives on guideways yield together with their carts; use compliant"
         general = addition in ("backlash", "elastic") or addition in OF_WHOLE
-        return WHY_NOT[addition] if general else "this robot has no guideways that stand on its base"
+        return WHY_NOT[addition] if general else "this robot has no guideways on its base"
 
     def build(self, spec: Spec, periods: dict[str, float] | None = None) -> Geometry:
         """Return the geometry of a model; `periods` are starting values of cyclic errors by joint."""

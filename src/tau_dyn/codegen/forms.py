@@ -301,6 +301,6 @@ def _room(robot: Robot, share: float, most: float) -> np.ndarray:
 def _some(robot: Robot, q: np.ndarray) -> np.ndarray:
     if not len(q):
         raise InputError(
-            "unreachable", f"{robot.source}: no position around home can be reached, so nothing can be exported"
+            "unreachable", f"{robot.source}: no position around home can be reached, so there is no export"
         )
     return q

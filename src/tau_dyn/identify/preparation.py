@@ -321,7 +321,7 @@ def refuse_missing_campaign(model: Model, names: Sequence[str]) -> None:
         if "campaign" in effect.needs and number >= len(names):
             raise InputError(
                 "unsupported",
-                f"effect {effect.name} sets log {number + 1} apart from others, and there is only {len(names)}: give the logs "
+                f"effect {effect.name} separates log {number + 1} from others, and there is only {len(names)}: give the logs "
                 "in the order in which it was found, or fit the model without it",
             )
 

@@ -282,7 +282,7 @@ def _split_estimated(content: Mapping[str, Any], where: str) -> tuple[dict[str, 
     for key, value in content.items():
         if isinstance(value, Mapping) and "estimate" in value:
             if set(value) != {"estimate"}:
-                raise InputError("file_format", f"{where}: {key}: write {{estimate: START}} and nothing beside it")
+                raise InputError("file_format", f"{where}: {key}: write {{estimate: START}} alone")
             estimated.add(key)
             plain[key] = value["estimate"]
         else:

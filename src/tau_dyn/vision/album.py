@@ -214,7 +214,7 @@ def check_some(seen: Album, pattern: Pattern) -> None:
     reason = max({d.reason for d in every}, key=[d.reason for d in every].count)
     raise InputError(
         "not_visible",
-        f"none of the {len(every)} images shows the pattern; {seen.paths[0][0].name}: "
+        f"not one of the {len(every)} images shows the pattern; {seen.paths[0][0].name}: "
         f"{every[0].reason if len(every) == 1 else reason}",
     )
 

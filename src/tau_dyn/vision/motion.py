@@ -188,7 +188,7 @@ def estimate_clock_offset(t: np.ndarray, position: np.ndarray, weight: np.ndarra
         which = f"{value:.4g} s and {others[0][1]:.4g} s" if others else f"{value:.4g} ± {2 * stderr:.2g} s"
         raise CannotAnswer(
             "not_identifiable",
-            f"the images do not determine the offset between their clock and that of {log.source}: {which} fit alike",
+            f"the images do not determine the offset between their clock and that of {log.source}: {which} fit equally well",
             "move to and fro through the same places, at speeds that do not repeat, and take 50 images or more",
         )
     return LogOffset(value, stderr, degree, velocity)

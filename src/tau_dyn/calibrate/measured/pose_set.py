@@ -406,7 +406,7 @@ def join_pose_sets(sets: Sequence[PoseSet]) -> PoseSet:
     if any(turned) and not all(turned):
         raise InputError(
             "mismatch",
-            f"{sets[turned.index(False)].source} has no orientations, {sets[turned.index(True)].source} has; give poses of one kind",
+            f"{sets[turned.index(False)].source} has no orientations, {sets[turned.index(True)].source} has; give one kind",
         )
     campaign, campaigns = _join_words([(s.campaign, s.campaigns) for s in sets])
     target, targets = _join_words([(s.target, s.targets) for s in sets])

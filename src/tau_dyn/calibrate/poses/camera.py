@@ -184,7 +184,7 @@ class Camera(StandingDevice):
             except np.linalg.LinAlgError:
                 raise InputError(
                     "unsupported",
-                    "the pattern's corners in the pictures do not determine its pose; check its size, the focal length, the distance",
+                    "the corners in the pictures do not determine the pattern's pose; check size, focal length and distance",
                 ) from None
             position = position + step[:, :3]
             if turns:

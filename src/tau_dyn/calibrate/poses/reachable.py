@@ -69,7 +69,7 @@ class Safety:
         if self.angle > 0 and limit - self.angle <= 0:
             raise InputError(
                 "invalid_value",
-                f"a safety angle of {np.rad2deg(self.angle):.3g} degrees leaves nothing of the ball "
+                f"a safety angle of {np.rad2deg(self.angle):.3g} degrees leaves no part of the ball "
                 f"joints' {np.rad2deg(limit):.3g}",
             )
         return replace(

@@ -66,7 +66,7 @@ def design_causal_notch(modes: Sequence[Resonance], dt: float, pole_damping: flo
         if not z < pole_damping <= 1:
             raise InputError(
                 "invalid_value",
-                f"a notch with poles of damping ratio {pole_damping:g} does nothing for a mode of {z:.3g}; "
+                f"a notch with poles of damping ratio {pole_damping:g} has no effect on a mode of {z:.3g}; "
                 "give a larger one, up to 1",
             )
         # one pass of a filter of both directions, whose floor is the square of one pass

@@ -261,7 +261,7 @@ def _answerable(plan: DiscriminationDesign, grams: np.ndarray, question: DesignG
         names = ", ".join(c.name for c in question.causes)
         raise CannotAnswer(
             "no_solution",
-            f"no motion of this robot shows {names} beside this model",
+            f"no motion of this robot shows {names} with this model",
             "; ".join(dict.fromkeys(c.reveals for c in question.causes)),
         )
     cause = question.pairs[0][0].cause

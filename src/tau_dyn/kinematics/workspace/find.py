@@ -182,7 +182,7 @@ def _box(machine: WorkspaceModel, demands: PoseRequirements) -> tuple[np.ndarray
     if (lower > upper).any():
         axis = "xyz"[int(np.argmax(lower > upper))]
         raise InputError(
-            "invalid_value", f"the tool's limits in {axis} leave nothing of what {machine.robot.source} reaches"
+            "invalid_value", f"the tool's limits in {axis} leave no part of the reach of {machine.robot.source}"
         )
     return lower, upper
 
@@ -227,7 +227,7 @@ def _result(
         code[belongs & ~kept] = judge.reasons.code("too close to the border")
         belongs = kept
         if not belongs.any():
-            raise InputError("invalid_value", f"nothing keeps {demands.border:g} m from the border; ask for less")
+            raise InputError("invalid_value", f"no pose keeps {demands.border:g} m from the border; ask for less")
     places, q = np.concatenate(recorder.places), np.concatenate(recorder.q)
     index = np.rint((places - lattice.low) / lattice.step).astype(int)
     unit = float(np.prod(machine.scale[np.array(lattice.shape) > 1]))
