@@ -14,9 +14,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from recordings import DT, HZ, binary, log_of, pulses, recorded, structure
 
 from tau_dyn.exceptions import CannotAnswer
-from tau_dyn.log import Log
+from tau_dyn.log import ChannelFault, Log, find_channel_faults
 from tau_dyn.modes import Record, find_modes
-from tau_dyn.modes.channel_health import ChannelFault, find_channel_faults
 from tau_dyn.modes.record import prepare_records
 
 IN, OUT, N = ("force1", "force2"), ("place1", "place2"), 5000

@@ -15,8 +15,14 @@ from itertools import pairwise
 import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.log import Log, describe_missing_column, resample_segments
-from tau_dyn.modes.channel_health import ChannelFault, find_channel_faults, split_at_faults
+from tau_dyn.log import (
+    ChannelFault,
+    Log,
+    describe_missing_column,
+    find_channel_faults,
+    resample_segments,
+    split_at_faults,
+)
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.stats import f as fisher
 
-from tau_dyn.log import Log, find_true_runs, list_long_runs
+from tau_dyn.log.log import Log
+from tau_dyn.log.resample import find_true_runs
+from tau_dyn.log.signal_checks import list_long_runs
 from tau_dyn.message_codes import CodedWarning
 
 LIVE_SHARE = 0.2  # of its standard deviation over the record: a channel that varies by more goes on
@@ -35,7 +37,7 @@ AR_LAGS = 10  # samples of the one-step prediction
 MIN_VARIANCE_RATIO, SIGNIFICANCE_LEVEL = 2.0, 1e-6
 """Growth of one-step errors from which an input that stands still is at fault, and the significance of the growth."""
 BLOCK_S, MIN_BLOCK = 0.1, 40  # length of the blocks whose power is compared, in seconds and samples
-MIN_DEAD_BLOCKS = 4
+MIN_DEAD_BLOCKS = 4  # in a row: one quiet block happens between beats
 DEAD_RATIO = 0.1  # measured over predicted rms of a dead block: a loss of 20 dB
 MIN_PREDICTED = 0.1  # predicted rms over the channel's own: below it the structure is at rest
 MIN_SIGNAL = 1.5  # predicted rms over that of the relation's errors in live blocks
