@@ -36,6 +36,7 @@ def _record(kind: str = "noise", *, accelerometers: bool = False, decibels: floa
         "fade": noise * (1e-2 + np.sin(2 * np.pi * t / 25) ** 4)[:, None],
         "sweep": np.column_stack([chirp(t, 1, 50, 45), chirp(t, 2, 50, 35, phi=90)]),
         "tones": np.column_stack([np.sin(2 * np.pi * 7 * t), np.cos(2 * np.pi * 3 * t)]),
+        "slow tones": np.column_stack([np.sin(2 * np.pi * 0.4 * t), np.cos(2 * np.pi * 0.93 * t)]),
         "square": np.sign(np.sin(2 * np.pi * np.outer(t, [0.33, 1.1]) + 0.1)),
         "staircase": np.repeat(noise[: N // 500], 500, axis=0),
         "periodic": np.tile(noise[: N // 20], (20, 1)),
@@ -43,8 +44,8 @@ def _record(kind: str = "noise", *, accelerometers: bool = False, decibels: floa
     return recorded(structure(accelerometers=accelerometers), decibels=decibels, seed=seed, u=inputs[kind])
 
 
-SOUND = ("noise", "binary", "held noise", "bursts", "pause", "free decay", "fade", "sweep", "tones", "square", "staircase",
-         "periodic")  # fmt: skip
+SOUND = ("noise", "binary", "held noise", "bursts", "pause", "free decay", "fade", "sweep", "tones", "slow tones", "square",
+         "staircase", "periodic")  # fmt: skip
 
 
 def _examine(record: Record) -> list[ChannelFault]:
@@ -119,6 +120,15 @@ def test_an_amplifier_whose_limit_has_noise_is_named():
     assert [fault.column for fault in _examine(record)] == ["place1"]
 
 
+def test_rest_before_the_first_force_is_no_fault():
+    """An output that rests until a force acts stands still while nothing goes on but the last samples."""
+    u = np.random.default_rng(1).normal(size=(N, 2))
+    u[:58], u[58:60] = 0.0, 5.0
+    record = recorded(structure(), decibels=80.0, u=u)
+    record.y[:60] = record.y[0]
+    assert not _examine(record)
+
+
 def _true_modes(log: Log) -> list[str]:
     """Return the warnings of an analysis whose resonances are the structure's, within 0.5 %, and no others."""
     found = find_modes(log, IN, OUT)
@@ -147,8 +157,9 @@ def test_clipping_is_not_called_nonlinear_stiffness():
 
 def test_pulses_next_to_a_fault_are_left_out():
     """A hammer test stays one where a sensor stands still during one decay; the blows before and after serve."""
-    record = pulses(structure(), 600, 6)
-    record.y[650:720, 0] = record.y[650, 0]
+    record = pulses(structure(damping=(0.004, 0.003)), 600, 6)
+    for start in (650, 1000):  # no blow is between the two
+        record.y[start : start + 70, 0] = record.y[start, 0]
     data = prepare_records([log_of(record)], IN, OUT)
     assert data.kind == "impulse" and "place1 stands still" in data.warnings[0]
     assert len(data.whole) == 5

@@ -385,6 +385,8 @@ def _leave_out(
     if len(parts) == 1 and parts[0] is log or not records:
         return records
     inputs, outputs = records[0].inputs, records[0].outputs
+    acting = [c for c in (*inputs, *outputs) if c not in idle]
+    parts = [part for part in parts if all(np.ptp(part.channels[c]) > 0 for c in acting)]
     kept = [r for part in parts for r in build_records(part, inputs, outputs, references, idle)]
     if all(_is_pulses(r) for r in records):
         kept = [r for r in kept if _is_pulses(r)]
