@@ -86,6 +86,14 @@ def test_a_sensor_that_dies_is_cut_out(kind, start, stop):
     assert sum(r.n_samples for r in data.whole) == N - (fault.stop - fault.start)
 
 
+def test_a_long_stretch_of_one_value_is_named_once():
+    """An output that stands still for 2 s is not called dead as well."""
+    record = _record()
+    record.y[2000:2200, 0] = record.y[2000, 0]
+    (fault,) = _examine(record)
+    assert fault.warning.code == "held_channel" and (fault.start, fault.stop) == (2000, 2200)
+
+
 @pytest.mark.parametrize("kind", ["noise", "bursts"])
 @pytest.mark.parametrize("still", [False, True])
 def test_a_force_that_is_lost_is_told_from_a_pause(kind, still):

@@ -237,7 +237,8 @@ def _find_dead_outputs(
     for j in range(len(inputs), len(names)):
         for first, end in _find_dead_blocks(delayed, j, live, normal, width):
             start, stop = _find_edges(x[:, j], first + lag, end + lag, width)
-            found.append(_name_dead(log, names[j], start, stop))
+            if not any(f.column == names[j] and f.start < stop and start < f.stop for f in still):
+                found.append(_name_dead(log, names[j], start, stop))
     return found
 
 
