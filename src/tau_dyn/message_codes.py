@@ -253,6 +253,7 @@ WARNING_CODES: dict[str, MessageCode] = {
         "a channel is constant while its joint moves, or is updated less often than logged",
         "log all channels at one rate; frozen positions are left out",
     ),
+    "faulty_channel": MessageCode("`modes`: a channel dies or clips", "mend it; dead stretches are left out"),
     "holdout_differs": MessageCode(
         "the held-out error of a joint is over 3 times the training error", "check machine, tool and load of both logs"
     ),

@@ -74,7 +74,7 @@ def test_a_motion_that_repeats_does_not_tell_the_offset():
     q = 0.2 * np.column_stack([np.sin(np.pi * t), np.cos(np.pi * t), np.sin(2 * np.pi * t)])
     taken = np.sort(rng.uniform(8, 22, 60))
     seen = place(CubicSpline(t, q)(taken)) + 3e-4 * rng.standard_normal((60, 3))
-    with raises_code("not_identifiable", "fit alike"):
+    with raises_code("not_identifiable", "fit equally well"):
         estimate_clock_offset(taken, seen, np.ones(60), JointLog(t, q, "log.csv"))
 
 

@@ -1,5 +1,10 @@
 """Recordings: files and column maps in, `Log` out; an even clock, filters, and a judgement of what was recorded."""
 
+from .channel_health import (
+    ChannelFault as ChannelFault,
+    find_channel_faults as find_channel_faults,
+    split_at_faults as split_at_faults,
+)
 from .check import check_log as check_log, list_unit_warnings as list_unit_warnings
 from .check_motion import find_moving_samples as find_moving_samples
 from .column_map import ColumnMap as ColumnMap, Source as Source

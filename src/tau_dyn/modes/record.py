@@ -15,8 +15,14 @@ from itertools import pairwise
 import numpy as np
 
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.log import Log, describe_missing_column, list_long_runs, resample_segments
-from tau_dyn.message_codes import CodedWarning
+from tau_dyn.log import (
+    ChannelFault,
+    Log,
+    describe_missing_column,
+    find_channel_faults,
+    resample_segments,
+    split_at_faults,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +188,6 @@ PULSE_ROOM = 100  # samples that a pulse's response needs, at least
 SAMPLES_PER_CHANNEL = 40  # training samples for each input and output; fewer do not suffice to choose a model
 PULSES = 10_000  # samples of all pulses together that are fitted to: the ends of long decays add little information
 MAX_REST_SAMPLES = 20_000  # samples at a record's begin in which rest is searched
-LIVE_SHARE = 0.2  # of its standard deviation over the record: a channel that varies by more is active
 STEP_TOLERANCE = 1e-3  # relative difference of sampling rates that counts as one rate
 
 
@@ -197,6 +202,7 @@ class PreparedRecords:
         how_held: Description of the held-out data.
         warnings: Sentences.
         whole: Records for the final model: all data except logs given for validation; empty means `train`.
+        clipped: Channels that clip; their residual is no property of the structure.
     """
 
     train: tuple[Record, ...]
@@ -205,6 +211,7 @@ class PreparedRecords:
     how_held: str
     warnings: tuple[str, ...] = ()
     whole: tuple[Record, ...] = ()
+    clipped: tuple[str, ...] = ()
 
     @property
     def n_train(self) -> int:
@@ -238,6 +245,11 @@ def prepare_records(
     records = [
         _records(log, inputs, outputs, references, still) for log, still in zip((*logs, *holdout), idle, strict=True)
     ]
+    faults = [find_channel_faults(log, inputs, outputs) for log in (*logs, *holdout)]
+    records = [
+        _leave_out(some, log, found, still, references)
+        for some, log, found, still in zip(records, (*logs, *holdout), faults, idle, strict=True)
+    ]
     train, held = ([r for some in part for r in some] for part in (records[: len(logs)], records[len(logs) :]))
     _refuse_records(train, held, len(inputs) + len(outputs))
     if any(idle) and not all(_is_pulses(r) for r in train):
@@ -248,13 +260,19 @@ def prepare_records(
     warnings = (
         *dict.fromkeys(w for piece in pieces for w in piece.warnings),
         *(f"{name} is both trained on and held out; its errors are not held-out errors" for name in both),
-        *(warning for log in (*logs, *holdout) for warning in _list_dead_sensors(log, inputs, outputs)),
+        *(fault.warning for some in faults for fault in some),
         *(
             f"{log.name} has no column {', '.join(still)}: taken as zero, for the hammer was elsewhere"
             for log, still in zip((*logs, *holdout), idle, strict=True)
             if still
         ),
     )
+    clipped = tuple(dict.fromkeys(fault.column for some in faults for fault in some if not fault.cut))
+    return replace(_divide(train, held, warnings), clipped=clipped)
+
+
+def _divide(train: list[Record], held: list[Record], warnings: tuple[str, ...]) -> PreparedRecords:
+    """Return records as deviations from their operating points, with a part held out where no logs are."""
     if all(_is_pulses(r) for r in train):
         return _pulses(train, held, warnings)
     if held:
@@ -290,22 +308,6 @@ def _is_pulses(record: Record) -> bool:
     return (
         record.n_samples >= 2 * PULSE_ROOM and bool(np.mean(_away(record)) < PULSE_SHARE) and bool(cut_pulses(record))
     )
-
-
-def _list_dead_sensors(log: Log, inputs: Sequence[str], outputs: Sequence[str]) -> list[CodedWarning]:
-    """Return a warning for each output that keeps one value for long while the other channels are active."""
-    found = []
-    for name in outputs:
-        others = [log.channels[c] for c in (*inputs, *outputs) if c != name and c in log.channels]
-        for start, stop in list_long_runs(log.channels[name], log.rate_hz)[0]:
-            if not any(np.std(x[start:stop]) > LIVE_SHARE * np.std(x) for x in others):
-                continue
-            sentence = (
-                f"{log.name}: {name} is constant from t = {log.t[start]:.4g} to {log.t[stop - 1]:.4g} s while the rest goes on: "
-                "the sensor gave no values there. Cut the record there, or measure again."
-            )
-            found.append(CodedWarning("held_channel", sentence))
-    return found
 
 
 def _pulses(train: list[Record], held: list[Record], warnings: tuple[str, ...]) -> PreparedRecords:
@@ -369,6 +371,29 @@ def _records(
                     f"{log.name}: output '{other}' is input '{one}' again, but for scale; name the measured response",
                 )
     return records
+
+
+def _leave_out(
+    records: list[Record], log: Log, faults: Sequence[ChannelFault], idle: Sequence[str], references: Sequence[str]
+) -> list[Record]:
+    """Return the records of a log without its faulty stretches; of pulse tests those that still hold pulses.
+
+    Raises:
+        CannotAnswer: Nothing is left.
+    """
+    parts = split_at_faults(log, faults)
+    if len(parts) == 1 and parts[0] is log or not records:
+        return records
+    inputs, outputs = records[0].inputs, records[0].outputs
+    acting = [c for c in (*inputs, *outputs) if c not in idle]
+    parts = [part for part in parts if all(np.ptp(part.channels[c]) > 0 for c in acting)]
+    kept = [r for part in parts for r in build_records(part, inputs, outputs, references, idle)]
+    if all(_is_pulses(r) for r in records):
+        kept = [r for r in kept if _is_pulses(r)]
+    if not kept:
+        said = " ".join(fault.warning for fault in faults if fault.cut)
+        raise CannotAnswer("too_little_data", f"{said} No usable stretch is left", "a record of working channels")
+    return kept
 
 
 def _alike(a: np.ndarray, b: np.ndarray) -> bool:

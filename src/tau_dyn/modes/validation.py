@@ -129,7 +129,7 @@ def validate_model(
     if tones:
         said = f"{_list_hz(tones)}: tones of the inputs, not resonances; drive with noise or a sweep to see what lies there"
         found = replace(found, warnings=(*found.warnings, CodedWarning("tone_of_input", said)))
-    return replace(found, warnings=tuple(dict.fromkeys((*found.warnings, *list_doubts(found)))))
+    return replace(found, warnings=tuple(dict.fromkeys((*found.warnings, *list_doubts(found, data.clipped)))))
 
 
 def _fit(model: StateSpace, noise: NoiseModel, records: Sequence[Record]) -> FitQuality:
@@ -228,8 +228,13 @@ MAX_FIT_DROP_PERCENT = 10.0  # per cent from training to held-out data; more ind
 MIN_RECORD_PERIODS = 10  # of the slowest mode; fewer leave its damping open
 
 
-def list_doubts(found: Modes) -> Iterator[str]:
-    """Yield the warnings about a result, one sentence each."""
+def list_doubts(found: Modes, clipped: Sequence[str] = ()) -> Iterator[str]:
+    """Yield the warnings about a result, one sentence each.
+
+    Args:
+        found: The result.
+        clipped: Channels that clip; the residual of such an output is no property of the structure.
+    """
     if found.feedback.suspected and found.feedback.input:
         said = f"{found.feedback.why}: a loop was closed; log its reference and name it with --reference"
         yield CodedWarning("feedback_found", said)
@@ -262,14 +267,14 @@ def list_doubts(found: Modes) -> Iterator[str]:
             "too many states, or the plant changed"
         )
     power = found.nonlinearity
-    if power is not None and power.suspected:
+    if power is not None and power.suspected and power.output not in clipped:
         what = "size (stiffness, friction)" if power.power == 3 else "sign (preload, play on one side)"
         said = (
             f"{power.output} responds nonlinearly to its {what}: powers of the response explain {100 * power.share:.0f} % of the "
             f"residual (p = {power.p_value:.1g}); modes hold for this level of force only"
         )
         yield CodedWarning("response_nonlinear", said)
-    if failed := [t for t in found.independence if not t.passed]:
+    if failed := [t for t in found.independence if not t.passed and t.output not in clipped]:
         worst = min(failed, key=lambda t: t.p_value)
         what = f"what the model leaves of {worst.output} still answers to {worst.input}"
         yield f"{what} (p = {worst.p_value:.1g}): dynamics are missing; try a higher order, or mind nonlinear friction"
