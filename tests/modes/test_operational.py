@@ -83,7 +83,7 @@ def test_what_needs_the_force_is_not_given(found):
 def test_it_is_shown_on_a_page_and_in_a_notebook(found):
     """The page and the notebook's view name the frequencies; the table has a row a mode."""
     page = build_page(found, logs=[("ambient.csv", "0" * 64)])
-    assert "Stabilisation" in page and "ambient.csv" in page and "nothing has a scale" in page
+    assert "Stabilisation" in page and "ambient.csv" in page and "shapes have no scale" in page
     assert "Hz" in found._repr_html_() and len(found.to_pandas()) == 3
 
 
