@@ -127,6 +127,7 @@ INPUT_CODES: dict[str, MessageCode] = {
 """Codes of faulty input; exit status 2."""
 
 UNANSWERED_CODES: dict[str, MessageCode] = {
+    "log_not_usable": MessageCode("`check` found a fault", "see `findings`"),
     "no_solution": MessageCode(
         "no motion, pose or model within the limits was found", "loosen a limit, or start nearer"
     ),
@@ -135,7 +136,7 @@ UNANSWERED_CODES: dict[str, MessageCode] = {
     ),
     "not_identifiable": MessageCode("the data do not determine what was asked", "the experiment in the sentence"),
     "not_visible": MessageCode("the camera or device does not see the target", "move the device or the target"),
-    "nothing_to_do": MessageCode("nothing is left open that a measurement would answer", "none needed"),
+    "nothing_to_do": MessageCode("nothing is left to measure", "none"),
     "positions_missing": MessageCode("`columns`: no column is a position", "name one"),
     "poor_excitation": MessageCode("the motion or force hardly changes", "move every joint faster, both ways"),
     "too_little_data": MessageCode("too few samples, poses or images", "record longer, or more"),
