@@ -38,7 +38,7 @@ from tau_dyn.identify.wiring_alternatives import (
     UNITS,
     Number,
     Rewiring,
-    assume_units,
+    build_unit_reading,
     is_within_reach,
     list_alternatives,
     list_lacking,
@@ -152,7 +152,7 @@ def check_wiring(robot: Robot, excerpt: Excerpt, name: str, records: Records | N
     model = LogModel.of(robot, excerpt, records.mean_force)
     plain = Rewiring.none(robot.na)
     tests = (model.test, replace(model.test, model_error=FINE_MODEL_ERROR, is_fine=True))
-    for start in dict.fromkeys((plain, assume_units(robot, plain, excerpt.q))):
+    for start in dict.fromkeys((plain, build_unit_reading(robot, plain, excerpt.q))):
         for test in tests:
             search = Search(replace(model, test=test), records)
             if faults := search.find_faults(start):

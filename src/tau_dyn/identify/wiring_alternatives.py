@@ -154,7 +154,7 @@ def _lacking(robot: Robot, now: Rewiring, kind: str, group: Sequence[int]) -> Re
     return replace(now, code=code, lacks=lacks, joints=tuple(group), words=words)
 
 
-def assume_units(robot: Robot, now: Rewiring, q: np.ndarray) -> Rewiring:
+def build_unit_reading(robot: Robot, now: Rewiring, q: np.ndarray) -> Rewiring:
     """Return the reading in which positions (n, na) far outside their joints' limits are in degrees or mm, where that fits."""
     for j, kind in enumerate(robot.joint_kinds):
         unit = 180 / np.pi if kind == "revolute" else 1000.0
