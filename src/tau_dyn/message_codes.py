@@ -131,6 +131,7 @@ INPUT_CODES: dict[str, MessageCode] = {
 """Codes of faulty input; exit status 2."""
 
 UNANSWERED_CODES: dict[str, MessageCode] = {
+    "log_not_usable": MessageCode("`check` found a fault", "see `findings`"),
     "no_solution": MessageCode(
         "no motion, pose or model within the limits was found", "loosen a limit, or start nearer"
     ),

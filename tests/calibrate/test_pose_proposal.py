@@ -141,3 +141,22 @@ def test_the_command_writes_a_map_that_calibrate_takes(tmp_path: Path, capsys: p
     assert "sign of cart2 is reversed" in said and "clock" not in said and "torque" not in said
     assert main(["calibrate", "gantry_tau", str(file), "--columns", str(column_map), "--quiet"]) == 0
     assert "poses_reread" not in capsys.readouterr().err
+
+
+def test_a_controllers_export_with_numbered_joints_is_a_pose_file(tmp_path) -> None:
+    """Joints 1 to 6 and Euler angles in degrees, places without a frame's name, no clock: the map reads as the file was meant."""
+    robot = six_axes()
+    poses = measure(robot)
+    assert poses.rotation is not None
+    table = pd.DataFrame(np.degrees(poses.q), columns=[f"Axis {k}" for k in range(1, 7)])
+    table[["X", "Y", "Z"]] = poses.position
+    table[["A", "B", "C"]] = Rotation.from_matrix(poses.rotation).as_euler("ZYX", degrees=True)
+    path = tmp_path / "export.csv"
+    table.to_csv(path, index=False)
+    proposal = propose_pose_columns(path, robot)
+    assert proposal is not None and "Axis 1 to Axis 6" in proposal.warnings[0]
+    read = read_poses(path, robot.actuated, columns=proposal.to_map())
+    np.testing.assert_allclose(read.q, poses.q, atol=1e-9)
+    np.testing.assert_allclose(read.position, poses.position, atol=1e-9)
+    table.assign(t=0.01 * np.arange(len(table))).to_csv(path, index=False)
+    assert propose_pose_columns(path, robot) is None  # a clock makes it a log

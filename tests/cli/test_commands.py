@@ -129,6 +129,20 @@ def test_check_finds_a_good_log_fit(folder, capsys):
     assert capsys.readouterr().out.strip()
 
 
+def test_check_of_a_log_with_a_fault_exits_with_three(folder, tmp_path, schema):
+    """A constant force is a fault: status 3, the fault as what is missing, its remedy, and all fields of the check."""
+    rows = [line.split(",") for line in (folder / "monday.csv").read_text().splitlines()]
+    k = rows[0].index("tau_axis")
+    path, result = tmp_path / "dead.csv", tmp_path / "c.json"
+    path.write_text("\n".join([",".join(rows[0]), *(",".join([*r[:k], "3.5", *r[k + 1 :]]) for r in rows[1:])]) + "\n")
+    assert main(["check", str(path), "linear_axis", "--json", str(result), "--quiet"]) == 3
+    found = json.loads(result.read_text())
+    assert found["status"] == "cannot_answer" and found["code"] == "log_not_usable" and found["fit_for_use"] is False
+    assert "tau_axis is 3.5" in found["missing"] and "Log the drive's force." in found["experiment"]
+    assert not list(schema.iter_errors(found))
+    assert list(schema.iter_errors({k: x for k, x in found.items() if k != "numbers"}))
+
+
 def test_excite_stays_within_limits(folder):
     """An exciting motion is written with positions, speeds and accelerations, inside the robot's travel."""
     out = folder / "motion.csv"

@@ -252,6 +252,22 @@ def test_a_run_without_an_answer_says_what_its_data_lacked(tmp_path):
     assert any("the axis never moved" in w for w in compare(read_side(a), read_side(b)).warnings)
 
 
+def test_a_check_with_faults_is_compared_by_its_findings(tmp_path):
+    """A log that is not usable exits with 3, but its faults are an answer: one that vanished after a repair is listed."""
+    a, b = tmp_path / "a.json", tmp_path / "b.json"
+    faulty = {
+        "status": "cannot_answer",
+        "fit_for_use": False,
+        "missing": "a live channel",
+        "experiment": "record again",
+    }
+    sound = {"status": "ok", "fit_for_use": True}
+    for path, more, severity in ((a, faulty, "fault"), (b, sound, "ok")):
+        rows = [{"severity": severity, "topic": "frozen", "sentence": "", "remedy": ""}]
+        path.write_text(json.dumps({"command": "check", "inputs": [], "findings": rows, "numbers": {}} | more))
+    assert compare(read_side(a), read_side(b)).findings
+
+
 @pytest.mark.parametrize(("name", "says"), [("run.json", "no run folder"), ("result.json", "no such file")])
 def test_half_a_run_folder_is_refused(tmp_path, capsys, name, says):
     """A folder without run.json is no run; without a result there is nothing to compare."""

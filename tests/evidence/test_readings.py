@@ -9,6 +9,7 @@ from tau_dyn.evidence import (
     ReadingFit,
     ReadingTest,
     compute_zero_mean_nats,
+    is_factor_known,
     is_hopeless,
     is_part_missing,
     is_preferred,
@@ -62,6 +63,12 @@ def test_only_noise_makes_the_finer_measure_hopeless() -> None:
     assert is_hopeless(fine, poor, poor.power) and not is_hopeless(fine, poor, 0.1 * poor.power)
     assert is_hopeless(fine, fit(0.0, 0.01, 0.2), np.zeros(2))  # the coarser measure has judged such a joint
     assert not is_hopeless(ReadingTest(SIZE, 0.05), poor, poor.power)
+
+
+def test_a_factor_far_from_one_is_known_to_be_wrong_without_its_size() -> None:
+    """A tenth with a standard error of 30 % lies 7.6 of them from 1; a factor of 1.5 with 31 % may be 1."""
+    assert is_factor_known(0.1, 0.301) and is_factor_known(-300.0, 0.6) and is_factor_known(1.5, 0.05)
+    assert not is_factor_known(1.5, 0.31) and not is_factor_known(0.1, 0.5)
 
 
 def test_both_halves_of_a_log_agree_on_a_true_reading() -> None:

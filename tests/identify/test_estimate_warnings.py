@@ -138,6 +138,8 @@ def test_friction_descriptions_that_fit_alike_are_given(columns) -> None:
     assert said.startswith(
         "axis: Coulomb friction 18 / 22 N is the same as 20 N in both directions with a constant offset of -2 N"
     )
+    still = fitted(columns, [1e-6, 1e-6, 100, 100], names, noise=1.0)
+    assert list_equivalent_models(still, ("axis",)) == ()  # Coulomb friction that is consistent with zero
     (said,) = list_equivalent_models(fitted(columns, [18, 22, 100, 110], names), ("axis",))
     assert "one viscous coefficient" not in said
     (said,) = list_equivalent_models(fitted(columns, [18, 22, 100, 100.01], names), ("axis",))

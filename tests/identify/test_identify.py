@@ -291,7 +291,8 @@ def test_millimetres_are_noticed(axis, axis_log, l1, monday, make):
     """Positions that read like millimetres: a warning where an answer is still possible, part of the refusal where not."""
     found = identify(axis, make.changed(axis_log, q_axis=1e3 * axis_log.channels["q_axis"]))
     assert any(
-        "the unit is probably mm: write `q_axis: {column: q_axis, scale: 0.001}`" in text for text in found.warnings
+        "the unit is probably mm (a gear ratio looks alike): write `q_axis: {column: q_axis, scale: 0.001}`" in text
+        for text in found.warnings
     )
     scaled = {f"q_{j}": 1e3 * monday.channels[f"q_{j}"] for j in l1.actuated}
     with raises_code("loop_not_closed"):

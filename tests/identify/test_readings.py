@@ -10,9 +10,9 @@ import pytest
 
 from tau_dyn.evidence import ReadingFit, ReadingTest
 from tau_dyn.identify import build_model, check_against_robot
-from tau_dyn.identify.excerpt import make_excerpt
+from tau_dyn.identify.excerpt import Records, make_excerpt
 from tau_dyn.identify.reading_fit import LogModel
-from tau_dyn.identify.wiring import Fault, Search
+from tau_dyn.identify.wiring import UNDETERMINED, Fault, Mend, Search, _describe
 from tau_dyn.identify.wiring_alternatives import Rewiring
 from tau_dyn.log import Log
 from tau_dyn.mechanism import build_mechanism
@@ -33,6 +33,11 @@ def arm_log(two_link, make) -> Log:
         + np.random.default_rng(0).normal(size=(log.n_samples, 2)) * 1e-3
     )
     return log.with_channels(**{f"v_{j}": v[:, k] for k, j in enumerate(JOINTS)})
+
+
+def none_fit() -> ReadingFit:
+    """Return a fit without a residual."""
+    return ReadingFit(0.0, 0.0, np.zeros(2), 0.0, np.zeros((1, 2)))
 
 
 def less(log: Log, forces: np.ndarray) -> Log:
@@ -121,6 +126,43 @@ def test_motor_side_columns_are_one_number_a_joint(two_link, arm_log) -> None:
     found = read_map(check_against_robot(two_link, [log]))
     for j, n in ratios.items():
         assert found[f"q_{j}"] == pytest.approx(1 / n, rel=0.1) and found[f"tau_{j}"] == pytest.approx(n, rel=0.1)
+
+
+def test_positions_beyond_the_limits_do_not_show_that_forces_lack_a_part(two_link, arm_log) -> None:
+    """Forces of the bodies follow from positions; the reading that a controller subtracted them needs possible positions."""
+    log = less(arm_log, compute_nominal(two_link, arm_log, 1.0))
+    for factor in (1.0, 80.0):
+        moved = Log(log.t, dict(log.channels) | {"q_elbow": factor * log.channels["q_elbow"]}, "friction.csv")
+        excerpt = make_excerpt(two_link, [moved])
+        assert excerpt is not None
+        search = Search(LogModel.of(two_link, excerpt, np.zeros(2)), Records.of(two_link, excerpt))
+        plain = Rewiring.none(2)
+        found = search.find_best(plain, search.model.fit(plain))
+        assert any(fault.reading.lacks for fault in found) is (factor == 1.0)
+
+
+def test_a_force_scale_is_found_next_to_positions_in_another_unit(two_link, arm_log) -> None:
+    """One joint in degrees and the other's force a tenth: neither reading alone fits, both together do."""
+    plain = {name: arm_log.channels[name] for name in ("q_shoulder", "tau_elbow")}
+    changed = {
+        "q_elbow": np.degrees(arm_log.channels["q_elbow"]),
+        "tau_shoulder": arm_log.channels["tau_shoulder"] / 10,
+    }
+    scales = read_map(check_against_robot(two_link, [Log(arm_log.t, plain | changed, "two.csv")]))
+    assert scales["q_elbow"] == pytest.approx(np.pi / 180, rel=0.01) and scales["tau_shoulder"] == pytest.approx(
+        10, rel=0.15
+    )
+
+
+def test_a_reading_that_does_not_mend_the_log_is_not_a_fact(two_link) -> None:
+    """The log read in the nearest way fails the test again: the sentence says that no reading agrees."""
+    none = Rewiring.none(2)
+    fault = Fault(replace(none, code="sign_reversed", words="the force of elbow has the wrong sign"), None, none_fit())
+    told = {
+        why: _describe(two_link, "a.csv", [fault], Mend(none, {}, why))[0] for why in ("", UNDETERMINED, "it fails")
+    }
+    assert "no reading of them agrees. The nearest is that the force of elbow" in told["it fails"]
+    assert all("no reading" not in told[why] for why in ("", UNDETERMINED))
 
 
 def test_an_estimate_consistent_with_degrees_is_rounded_to_them(two_link, arm_log) -> None:

@@ -148,13 +148,18 @@ def test_a_robots_missing_columns_are_named(axis_log):
 @pytest.mark.parametrize(
     ("factor", "kind", "limit", "words"),
     [
-        (1000, "prismatic", 1.0, "the unit is probably mm: write `q_axis: {column: q_axis, scale: 0.001}`"),
+        (
+            1000,
+            "prismatic",
+            1.0,
+            "the unit is probably mm (a gear ratio looks alike): write `q_axis: {column: q_axis, scale: 0.001}`",
+        ),
         (1000, "prismatic", np.inf, "the unit is probably mm"),
         (
             180 / np.pi,
             "revolute",
             2.0,
-            "the unit is probably degrees: write `q_axis: {column: q_axis, scale: 0.0174532925}`",
+            "the unit is probably degrees (a gear ratio looks alike): write `q_axis: {column: q_axis, scale: 0.0174532925}`",
         ),
         (1e5, "revolute", 2.0, "is it this joint, at its own side of the gear, in rad?"),
     ],

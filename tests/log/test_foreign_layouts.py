@@ -348,6 +348,25 @@ def test_turns_of_a_joint_without_limits_are_no_degrees(tmp_path):
     assert alone.entries["q_s"] == "q_s" and "unit_unsure" in codes_of(alone)
 
 
+def test_each_joint_shows_its_own_unit(tmp_path):
+    """A joint in degrees leaves its neighbours in rad; one that hardly moves takes the unit of most, and this is said."""
+    q, v = make_motion(3)
+    arm, path, still = make_arm("hip", "knee", "toe", limit=2.0), tmp_path / "a.csv", 1e-3 * q
+    for sizes, scales, doubts in (
+        ((57.3 * q[:, 0], q[:, 1], q[:, 2]), (np.pi / 180, 1.0, 1.0), 1),
+        ((57.3 * q[:, 0], 57.3 * q[:, 1], q[:, 2]), (np.pi / 180, np.pi / 180, 1.0), 2),
+        ((57.3 * q[:, 0], 57.3 * q[:, 1], still[:, 2]), (np.pi / 180,) * 3, 3),
+        ((57.3 * q[:, 0], q[:, 1], still[:, 2]), (np.pi / 180, 1.0, 1.0), 2),
+        ((q[:, 0], q[:, 1], still[:, 2]), (1.0,) * 3, 0),
+    ):
+        pd.DataFrame(dict(zip(["t", "q_hip", "q_knee", "q_toe"], [T, *sizes], strict=True))).to_csv(path, index=False)
+        found = propose_columns(path, arm)
+        assert [found.to_map().sources[f"q_{j}"].scale for j in arm.actuated] == pytest.approx(scales)
+        assert codes_of(found).count("unit_unsure") == doubts
+    pd.DataFrame({"t": T, "q_hip": np.degrees(0.02 * q[:, 0]), "v_hip": 0.02 * v[:, 0]}).to_csv(path, index=False)
+    assert propose_columns(path, make_arm("hip", limit=2.0)).entries["q_hip"] != "q_hip"
+
+
 def test_encoders_and_currents_by_number_have_a_template_or_a_map(tmp_path):
     """`enc1` is a position by its word; names without a word are listed with their ranges."""
     q, v = make_motion(2)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.log import Log, check_log, list_data_warnings, mend_log
+from tau_dyn.log.check_motion import find_dead_force
 from tau_dyn.log.signal_checks import find_frozen_positions, find_jumps
 from tau_dyn.message_codes import get_code
 
@@ -81,3 +82,47 @@ def test_a_force_that_dies_is_left_out(rng) -> None:
     (warning,) = list_data_warnings(log.with_channels(tau_a=tau))
     assert get_code(warning) == "held_channel" and "tau_a stays at the same value from 6 to" in warning
     assert mend_log(log.with_channels(tau_a=tau)).n_samples == pytest.approx(9000, abs=2)
+
+
+def damp(rng, tau: np.ndarray, level: float, noise: float, inside: slice) -> np.ndarray:
+    """Return a force (N,) that is a level with noise inside a stretch."""
+    tau = tau.copy()
+    tau[inside] = level + noise * rng.standard_normal(tau[inside].size)
+    return tau
+
+
+@pytest.mark.parametrize(("level", "noise", "start", "stop"), [(0.9, 0.1, 6210, 10000), (-2.0, 1e-3, 0, 4100)])
+def test_a_force_that_is_only_noise_is_left_out(rng, level: float, noise: float, start: int, stop: int) -> None:
+    """An accelerated inertia needs a force; a level with noise is a dead sensor, named with its times."""
+    log = swing(rng)
+    dead = log.with_channels(tau_a=damp(rng, log.channels["tau_a"], level, noise, slice(start, stop)))
+    (warning,) = list_data_warnings(dead)
+    assert get_code(warning) == "held_channel" and f"tau_a is {level:g} with noise" in warning
+    assert mend_log(dead).n_samples == pytest.approx(10000 - (stop - start), abs=8)
+    assert not check_log(dead).fit_for_use and not list_data_warnings(log)
+
+
+def test_a_steady_force_of_a_resting_joint_is_alive(rng) -> None:
+    """A joint that stops needs no varying force."""
+    log = swing(rng, noise=1e-3, rest=1.0)
+    held = damp(rng, log.channels["tau_a"], 3.0, 1e-3, slice(6000, None))
+    assert not find_dead_force(log.with_channels(tau_a=held), "a")
+
+
+def test_a_small_force_that_follows_the_motion_is_alive(rng) -> None:
+    """A spring that balances the inertia at one frequency leaves friction, which follows the direction of motion."""
+    log = swing(rng)
+    v = np.gradient(0.8 * np.sin(2.3 * T) + 0.2 * np.sin(6.1 * T + 1), T)
+    tau = np.where(T > 10, 0.05 * np.tanh(v / 0.01) + 0.01 * rng.standard_normal(T.size), log.channels["tau_a"])
+    assert not find_dead_force(log.with_channels(tau_a=tau), "a")
+
+
+def test_a_force_logged_twice_is_named(rng) -> None:
+    """Two joints that move differently never have the same force to the last digit; two that move alike may."""
+    log = swing(rng)
+    q = log.channels["q_a"]
+    twice = log.with_channels(q_b=0.5 * q[::-1], tau_b=log.channels["tau_a"])
+    (warning,) = list_data_warnings(twice)
+    assert get_code(warning) == "joints_exchanged" and "tau_a and tau_b are equal" in warning
+    assert not check_log(twice).fit_for_use
+    assert not list_data_warnings(log.with_channels(q_b=q, tau_b=log.channels["tau_a"]))

@@ -247,3 +247,10 @@ def test_beyond_a_dead_centre_many_samples_are_refused_as_one_is(write) -> None:
     assert np.isfinite(mechanism.inertia(within)).all()
     with raises_code("loop_not_closed", "rocker"):
         mechanism.inertia(np.vstack([within, robot.home + 1.0724]))
+
+
+def test_two_drives_of_one_freedom_are_refused_with_the_sum_of_their_forces(write) -> None:
+    """A crank-rocker driven at both ends: the work of both is one number, and the sentence gives the force that a log needs."""
+    robot = load_robot_from_urdf(write.four_bar(), "four_bar", actuated=("crank", "rocker"))
+    with raises_code("loop_not_closed", "crank, rocker", "2 drives and 1 independent motion", "sum of tau_i dq_i/dq_k"):
+        build_mechanism(robot)

@@ -47,7 +47,7 @@ def test_a_sensor_that_died_is_named(log):
     place[400:460] = place[400]
     dead = Log(log.t, {**log.channels, "place1": place}, name="dead.csv")
     (warning,) = prepare_records([dead], IN, OUT).warnings
-    assert warning.code == "held_channel" and "place1 is constant from t = 4 to 4.59 s" in warning
+    assert warning.code == "held_channel" and "place1 stands still from t = 4 to 4.59 s" in warning
     assert not prepare_records([log], IN, OUT).warnings
 
 

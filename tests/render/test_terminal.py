@@ -9,7 +9,7 @@ from rich.console import Console
 
 from tau_dyn.log import check_log
 from tau_dyn.render import print_result
-from tau_dyn.render.kinds.parameter_rows import ParameterRow, build_parameter_table
+from tau_dyn.render.kinds.parameter_rows import ParameterRow, build_parameter_table, describe_row
 from tau_dyn.render.terminal import build_grids, put
 from tau_dyn.results import Chapter, Column, On, Presentation, ResultTable, Row, format_with_uncertainty
 
@@ -37,6 +37,19 @@ def test_table_keeps_its_lines_at_80_columns(found):
         own = [x for x in lines if x.strip().startswith(row["name"] + " ") and "=" not in x]
         assert len(own) == (row["stderr"] is not None)
         assert all("±" in line and "…" not in line for line in own)
+
+
+def test_a_value_that_the_data_do_not_determine_is_no_estimate_on_a_terminal():
+    """0.07 kg m with a standard error of 15000 is not listed; 0.001 kg m^2 that is known better than from the file is."""
+    entry = {"name": "a.mx", "value": 0.07, "stderr": 1.5e4, "ci95": [-3e4, 3e4], "unit": "kg m", "nominal": 2.0,
+             "nominal_stderr": 0.6, "determined": False, "identifiable": True, "at_bound": False}  # fmt: skip
+    product = entry | {"name": "b.ixy", "value": 0.001, "stderr": 0.0015, "ci95": [-0.002, 0.004], "nominal": 0.0,
+                       "nominal_stderr": 0.02}  # fmt: skip
+    rows = [describe_row(one, 0.05, "", "") for one in (entry, product)]
+    text = _printed(
+        80, lambda console: put(console, build_grids(build_parameter_table(rows, "5 %", on=On.ALL)[0], 80)[0])
+    )
+    assert "b.ixy" in text and "a.mx" not in text
 
 
 def test_names_of_a_stock_arm_fit_into_80_columns():

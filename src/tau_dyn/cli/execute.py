@@ -384,7 +384,6 @@ def _twice(path: Path, folder: RunFolder | None, which: int) -> list[Path]:
 
 def _build_unanswered(values: dict[str, Any], fault: CannotAnswer) -> Outcome:
     """Return the outcome of a command whose data cannot answer, with the robot and all files that it was given."""
-    result = {"status": "cannot_answer", "code": fault.code, "missing": fault.missing, "experiment": fault.experiment}
     inputs = _list_given(values)
     if values.get("robot") and not is_model_file(values["robot"]):
         from tau_dyn.robot import find_robot
@@ -392,8 +391,16 @@ def _build_unanswered(values: dict[str, Any], fault: CannotAnswer) -> Outcome:
         inputs = [find_robot(str(values["robot"])), *inputs]
     once = {path.resolve(): path for path in reversed(inputs)}
     return Outcome(
-        result=result, warnings=fault.warnings, inputs=list(reversed(once.values())), exit_status=fault.exit_status
+        result=describe_unanswered(fault),
+        warnings=fault.warnings,
+        inputs=list(reversed(once.values())),
+        exit_status=fault.exit_status,
     )
+
+
+def describe_unanswered(fault: CannotAnswer) -> dict[str, str]:
+    """Return the fields of a result whose data cannot answer."""
+    return {"status": "cannot_answer", "code": fault.code, "missing": fault.missing, "experiment": fault.experiment}
 
 
 class _Screen(Console):

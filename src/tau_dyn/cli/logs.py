@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter, validators
 
 from tau_dyn.cli import arguments as args
-from tau_dyn.cli.execute import Outcome
+from tau_dyn.cli.execute import Outcome, describe_unanswered
 from tau_dyn.cli.progress import show_progress
-from tau_dyn.exceptions import InputError
+from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.message_codes import UNCODED, get_code
+
+if TYPE_CHECKING:
+    from tau_dyn.log import LogCheck
 
 
 def check(
@@ -51,13 +54,25 @@ def check(
             step("holding the log against the robot file")
             checked = checked.with_faults(check_against_robot(machine, [read]))
 
+    refusal = _name_faults(checked)
     return Outcome(
-        result=checked.to_dict(),
+        result=checked.to_dict() | (describe_unanswered(refusal) if refusal else {}),
         warnings=[*read.warnings, *said, *(w for w in checked.warnings if get_code(w) != UNCODED)],
         inputs=[(log, read.sha256), columns, *(robot_options.list_files(robot) if robot else [])],
         found=checked,
         context={"log": read, "robot": machine},
+        exit_status=refusal.exit_status if refusal else 0,
     )
+
+
+def _name_faults(checked: LogCheck) -> CannotAnswer | None:
+    """Return the faults of a log that is not usable, with their remedies; None for a usable log."""
+    faults = [f for f in checked.findings if f.severity == "fault"]
+    if not faults:
+        return None
+    remedies = dict.fromkeys(f.remedy or "Mend the log as the sentence states, or record it again." for f in faults)
+    missing = f"a log without these faults: {' '.join(f.sentence for f in faults)}"
+    return CannotAnswer("log_not_usable", missing, " ".join(remedies))
 
 
 def columns(

@@ -295,8 +295,9 @@ def _of_result(path: Path, digest: str, data: bytes, run: RecordedRun | None) ->
         ) from fault
     if not isinstance(content, dict) or not isinstance(content.get("command"), str):
         raise InputError("file_format", f"{path}: not a result of ours; its 'command' is missing")
-    refused = content.get("status") == "cannot_answer" and "missing" in content
-    if content.get("status") == "cannot_answer" and run is None:
+    unanswered = content.get("status") == "cannot_answer" and "fit_for_use" not in content  # a check names its faults
+    refused = unanswered and "missing" in content
+    if unanswered and run is None:
         raise InputError("mismatch", f"{path}: its data could not answer; there are no values to compare")
     read = [x for x in pick_dicts(content.get("inputs")) if "sha256" in x]
     try:
@@ -378,7 +379,7 @@ def _numbers(content: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
 def _parameters(content: Mapping[str, Any]) -> Iterator[tuple[str, MeasuredQuantity]]:
     for row in [
         *pick_dicts(content.get("parameters")),
-        *(p for x in pick_dicts(content.get("findings")) for p in x["parameters"]),
+        *(p for x in pick_dicts(content.get("findings")) if "cause" in x for p in x["parameters"]),
     ]:
         known = {"prior": row.get("nominal_stderr"), "nominal": row.get("nominal")}
         yield (

@@ -108,6 +108,7 @@ from .readings import (
     ReadingFit as ReadingFit,
     ReadingTest as ReadingTest,
     compute_zero_mean_nats as compute_zero_mean_nats,
+    is_factor_known as is_factor_known,
     is_hopeless as is_hopeless,
     is_part_missing as is_part_missing,
     is_preferred as is_preferred,

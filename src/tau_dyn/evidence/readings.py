@@ -81,6 +81,10 @@ MIN_MODEL_ERROR = 0.002
 MAX_NUMBER_STDERR = 0.3
 """Largest relative standard error of a number that a reading estimates; beyond it, the log does not determine the reading."""
 
+MIN_FACTOR_STDERRS = 6.0
+"""Distance of an estimated factor from 1, in standard errors, from which a factor is known to be wrong although its size is not:
+18 nats, over half of `MIN_GAIN_NATS`."""
+
 MAX_LEFT = 0.15
 """Share of gravity that may remain in forces from which a controller subtracted it: bodies of its model are wrong by 15 %."""
 
@@ -236,6 +240,11 @@ def is_part_missing(left: float, *, is_single: bool) -> bool:
 def is_preferred_in_each_half(gains: Sequence[float]) -> bool:
     """Return whether the gains of a reading in parts of a log [nats] do not contradict it."""
     return min(gains, default=0.0) > -MAX_HALF_LOSS_NATS
+
+
+def is_factor_known(factor: float, stderr: float) -> bool:
+    """Return whether a factor is known, or at least known to differ from 1; `stderr` is that of its logarithm."""
+    return stderr < MAX_NUMBER_STDERR or abs(np.log(abs(factor))) > MIN_FACTOR_STDERRS * stderr
 
 
 def permits_speed_scale(recorded: np.ndarray, expected: np.ndarray) -> bool:

@@ -133,6 +133,8 @@ def list_equivalent_models(estimate: Estimate, joints: tuple[str, ...]) -> tuple
         if not all(n in estimate.parameters for n in names):
             continue
         fc_pos, fc_neg, fv_pos, fv_neg = (estimate.parameters[n] for n in names)
+        if all(p.stderr is None or 2 * p.stderr > abs(p.value) for p in (fc_pos, fc_neg)):  # no friction is determined
+            continue
         both = np.hypot(fv_pos.stderr or 0.0, fv_neg.stderr or 0.0)
         one_viscous = both > 0 and abs(fv_pos.value - fv_neg.value) < 2 * both
         mean, half = (fc_pos.value + fc_neg.value) / 2, (fc_pos.value - fc_neg.value) / 2

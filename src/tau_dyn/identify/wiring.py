@@ -23,6 +23,7 @@ from tau_dyn.evidence import (
     MIN_GAIN_NATS,
     MIN_POWER_DROP,
     ReadingFit,
+    is_factor_known,
     is_hopeless,
     is_part_missing,
     is_preferred_in_each_half,
@@ -37,6 +38,7 @@ from tau_dyn.identify.wiring_alternatives import (
     UNITS,
     Number,
     Rewiring,
+    build_unit_reading,
     is_within_reach,
     list_alternatives,
     list_lacking,
@@ -108,6 +110,10 @@ TURN_RAD = 2 * np.pi
 """Range of a joint without limits, for the same [rad]."""
 
 
+UNDETERMINED = "the log does not determine the factors"
+"""Why no map is advised although the fault is certain; after any other objection, its reading is not stated as a fact."""
+
+
 @dataclass(frozen=True, eq=False)
 class Fault:
     """A reading that is accepted, with the fits before and after.
@@ -144,10 +150,13 @@ def check_wiring(robot: Robot, excerpt: Excerpt, name: str, records: Records | N
     """
     records = Records.of(robot, excerpt) if records is None else records
     model = LogModel.of(robot, excerpt, records.mean_force)
-    for test in (model.test, replace(model.test, model_error=FINE_MODEL_ERROR, is_fine=True)):
-        search = Search(replace(model, test=test), records)
-        if faults := search.find_faults():
-            return _describe(robot, name, faults, search.try_map(faults))
+    plain = Rewiring.none(robot.na)
+    tests = (model.test, replace(model.test, model_error=FINE_MODEL_ERROR, is_fine=True))
+    for start in dict.fromkeys((plain, build_unit_reading(robot, plain, excerpt.q))):
+        for test in tests:
+            search = Search(replace(model, test=test), records)
+            if faults := search.find_faults(start):
+                return _describe(robot, name, faults, search.try_map(faults))
     return []
 
 
@@ -182,7 +191,7 @@ class Search:
         tried = []
         if fit is None or self._most_to_gain(fit) > MIN_GAIN_NATS:
             tried = self._screen(quick, current, design)
-        if plain is not None and design is not None and not current.lacks:
+        if plain is not None and design is not None and not current.lacks and self._is_within_limits(current):
             tried += self._screen_lacking(quick, current, design)
         least = MIN_SCREENED_NATS + (0.0 if plain is None else plain.log_p)
         tried = sorted((item for item in tried if item[1] > least), key=lambda item: -item[1])
@@ -219,7 +228,7 @@ class Search:
         if fit is None or not self.model.test.is_good(fit, joints, final.tau_from):
             objection = "the log read so does not fit the robot file well"
         elif max(errors.values(), default=0.0) > MAX_NUMBER_STDERR:
-            objection = "the log does not determine the factors"
+            objection = UNDETERMINED
         elif self.find_faults(final):
             objection = "the log read so has a further fault"
         return Mend(final, errors, objection)
@@ -247,9 +256,9 @@ class Search:
         return Fault(reading, fit, after)
 
     def _is_determined(self, reading: Rewiring) -> bool:
-        """Return whether the log determines the numbers of a reading."""
+        """Return whether the log determines the numbers of a reading, or shows at least that they are not 1."""
         errors = estimate_errors(self.model.thinned().bare(self.model.test), reading)
-        return max(errors.values(), default=0.0) < MAX_NUMBER_STDERR
+        return all(is_factor_known(reading.get(number), error) for number, error in errors.items())
 
     def _estimate_left(self, reading: Rewiring) -> float:
         """Return the share that is left of the part that forces lack, at the maximum of a parabola through three fits."""
@@ -289,6 +298,12 @@ class Search:
         return permits_size(speed[source], speed[source] * ratio, robot.velocity_limit) and permits_size(
             force[list(reading.tau_from)], read, robot.effort_limit
         )
+
+    def _is_within_limits(self, reading: Rewiring) -> bool:
+        """Return whether joints with limits stay near them; beyond, forces of the bodies are not known, nor whether they lack."""
+        robot, (q, _, _) = self.model.robot, self.model.motion(reading)
+        limited = np.flatnonzero(np.isfinite(robot.upper - robot.lower)).tolist()
+        return all(is_within_reach(robot, j, q[:, j]) for j in limited)
 
     def _most_to_gain(self, fit: ReadingFit) -> float:
         """Return the gain of a perfect reading [nats]."""
@@ -491,6 +506,12 @@ def round_to_units(reading: Rewiring, errors: dict[Number, float]) -> Rewiring:
 def _describe(robot: Robot, name: str, faults: list[Fault], mend: Mend) -> list[CodedWarning]:
     """Return one warning for each fault, with its evidence; the last adds the column map, or why no map is advised."""
     sentences = [_describe_fault(robot, name, fault, mend) for fault in faults]
+    if mend.objection not in ("", UNDETERMINED):
+        start = f"{name}: the columns disagree with the robot file, and no reading of them agrees. The nearest is that "
+        sentences = [
+            text if fault.is_alias else start + text.removeprefix(f"{name}: ")
+            for fault, text in zip(faults, sentences, strict=True)
+        ]
     lines = list_map_lines(robot, mend.reading)
     if lines and not mend.objection:
         sentences[-1] += f" The column map (--columns) that mends this log, tried on it: {', '.join(lines)}."

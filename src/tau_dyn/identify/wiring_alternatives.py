@@ -154,6 +154,15 @@ def _lacking(robot: Robot, now: Rewiring, kind: str, group: Sequence[int]) -> Re
     return replace(now, code=code, lacks=lacks, joints=tuple(group), words=words)
 
 
+def build_unit_reading(robot: Robot, now: Rewiring, q: np.ndarray) -> Rewiring:
+    """Return the reading in which positions (n, na) far outside their joints' limits are in degrees or mm, where that fits."""
+    for j, kind in enumerate(robot.joint_kinds):
+        unit = 180 / np.pi if kind == "revolute" else 1000.0
+        if not is_within_reach(robot, j, q[:, j]) and is_within_reach(robot, j, q[:, j] / unit):
+            now = now.times(("q", (j,)), unit)
+    return now
+
+
 def move_to_motor_side(robot: Robot, now: Rewiring, ratios: Sequence[tuple[int, float]], with_force: bool) -> Rewiring:
     """Return the reading with positions, and forces if `with_force`, of some joints at the motor's side of their gears."""
     for j, ratio in ratios:

@@ -102,7 +102,7 @@ def _doubt(log: Log, joint: str, kind: str, lower: float, upper: float) -> str:
     slack = 0.1 * margin
     if low * scale >= lower - slack and high * scale <= upper + slack:
         line = f"q_{joint}: {{column: q_{joint}, scale: {scale:.9g}}}"
-        return f"{where}; the unit is probably {foreign}: write `{line}` into a column map."
+        return f"{where}; the unit is probably {foreign} (a gear ratio looks alike): write `{line}` into a column map."
     return f"{where}; is it this joint, at its own side of the gear, in {unit}?"
 
 

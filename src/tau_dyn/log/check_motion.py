@@ -20,7 +20,7 @@ from tau_dyn.log.filtering import (
     lowpass,
 )
 from tau_dyn.log.log import Log
-from tau_dyn.log.signal_checks import CheckFinding, choose_finding
+from tau_dyn.log.signal_checks import FORCE_S, CheckFinding, FrozenStretch, choose_finding
 from tau_dyn.results import count
 
 CUTOFF_SHARE = 0.06
@@ -51,6 +51,75 @@ def find_moving_samples(log: Log, joint: str) -> NDArray[np.bool_]:
     signal = "q_ref" if log.has("q_ref", [joint]) else "q"
     v = compute_velocities(log, signal, joint)
     return np.abs(v) > max(_noise_speed(log, signal, joint), 0.02 * float(np.abs(v).max()))
+
+
+DEAD_WINDOW_S = 1.0
+"""Windows in which a force is compared with the acceleration of its joint [s]; a joint of a robot turns several times."""
+
+MIN_DEAD_WINDOWS = 3
+"""Least number of consecutive windows without a force."""
+
+MIN_ACTIVE_SHARE = 0.3
+"""Acceleration in a window, as a share of that of the whole log, from which a live force has to vary."""
+
+MIN_FORCE_GAP = 5.0
+"""Ratio of force to acceleration in live windows over that in dead ones; other joints and slow motions change it gradually."""
+
+MAX_DEAD_COHERENCE = 0.1
+"""Share of a dead force's power that the joint's own position, velocity, acceleration and direction explain by chance."""
+
+
+def find_dead_force(log: Log, joint: str) -> list[FrozenStretch]:
+    """Return the stretches in which a joint's force is a constant with noise, while the joint accelerates as elsewhere.
+
+    An inertia needs a force, so the spread of a force averaged over 0.1 s, divided by that of the acceleration, has a lower bound
+    in each window. A dead channel falls below it by a gap, and no motion of its joint explains what is left.
+    """
+    width, n = max(1, round(FORCE_S * log.rate_hz)), max(1, round(DEAD_WINDOW_S * log.rate_hz))
+    count = log.n_samples // n
+    if count < 4 * MIN_DEAD_WINDOWS:
+        return []
+    v = compute_velocities(log, "q", joint)
+    a, tau, box = differentiate(v, log.dt), log.channels[f"tau_{joint}"], np.ones(width) / width
+    force, pull = (np.convolve(x, box, "same")[: count * n].reshape(count, n).std(axis=1) for x in (tau, a))
+    active = pull > MIN_ACTIVE_SHARE * float(np.sqrt(np.mean(pull**2)))
+    ratio = np.where(active, force / np.maximum(pull, 1e-300), np.nan)
+    known = np.sort(ratio[active])
+    steps = (
+        known[1:] / np.maximum(known[:-1], max(1e-12 * known[-1], 1e-300))
+        if len(known) > MIN_DEAD_WINDOWS
+        else np.zeros(0)
+    )
+    if not steps.size or steps.max() < MIN_FORCE_GAP:
+        return []
+    low = np.isnan(ratio) | (ratio <= known[int(np.argmax(steps))])
+    X = np.column_stack([np.ones(log.n_samples), log.channels[f"q_{joint}"], v, a, np.sign(v)])
+    found = []
+    for first, last in _list_runs(low):
+        if np.count_nonzero(active[first:last]) < MIN_DEAD_WINDOWS:
+            continue
+        inside = slice(first * n, last * n)
+        x = tau[inside] - tau[inside].mean()
+        left = x - X[inside] @ np.linalg.lstsq(X[inside], x, rcond=None)[0]
+        if left @ left < (1 - MAX_DEAD_COHERENCE) * (x @ x) or not np.any(tau[inside]):  # zeros: a drive that is off
+            continue
+        start, stop = _extend_stretch(tau, inside)
+        state = f"is {tau[inside].mean():.3g} with noise of {x.std():.2g} and nothing else"
+        found.append(FrozenStretch(f"tau_{joint}", start, stop, f"{joint} accelerates as elsewhere", state))
+    return found
+
+
+def _list_runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return first element and end of each run of true elements (n,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def _extend_stretch(x: NDArray[np.float64], inside: slice) -> tuple[int, int]:
+    """Return first sample and end of the stretch in which a channel (N,) stays within five deviations of its mean inside."""
+    off = np.abs(x - x[inside].mean()) > 5 * x[inside].std()
+    before, after = np.flatnonzero(off[: inside.start]), np.flatnonzero(off[inside.stop :])
+    return int(before[-1]) + 1 if before.size else 0, inside.stop + int(after[0]) if after.size else len(x)
 
 
 def check_motion(log: Log, others: Sequence[Log] = ()) -> tuple[list[CheckFinding], dict[str, Any]]:

@@ -430,69 +430,60 @@ def _propose_positions(
 def _find_position_scales(
     columns: Mapping[str, str], velocities: Mapping[str, str], recorded: _Recorded, robot: JointLimits
 ) -> tuple[dict[str, float], list[str]]:
-    """Return the scale of each joint's positions to m or rad, and doubts; joints of a kind share a unit."""
+    """Return the scale of each joint's positions to m or rad, and doubts.
+
+    Each joint is judged by its own name, velocity and limits. A joint that hardly moves fits both units; it takes the unit of
+    most joints of its kind.
+    """
     scales, warnings = dict.fromkeys(columns, 1.0), []
     pairs = list(zip(robot.actuated, robot.joint_kinds, strict=True))
-    for kind, small, unit in (("revolute", DEGREE, "degrees"), ("prismatic", 1e-3, "mm")):
+    for kind, small, units in (("revolute", DEGREE, ("rad", "degrees")), ("prismatic", 1e-3, ("m", "mm"))):
         mine = {k: columns[joint] for k, (joint, own) in enumerate(pairs) if own == kind and joint in columns}
-        if not mine:
-            continue
-        named = recorded.find_scale(next(iter(mine.values())), "q")
-        if named is not None:
-            scales |= {robot.actuated[k]: named for k in mine}
-            continue
-        outside = [k for k, column in mine.items() if not _is_within(recorded.values[column], robot, k)]
-        if not outside:
-            found, doubts = _judge_unlimited(mine, velocities, recorded, robot)
-            scales |= found
-            warnings += doubts
-            continue
-        column, joint = mine[outside[0]], robot.actuated[outside[0]]
-        if all(_is_within(recorded.values[column] * small, robot, k) for k, column in mine.items()):
-            scales |= {robot.actuated[k]: small for k in mine}
-            sentence = (
-                f"{column} leaves the limits of {joint} in SI units and not in {unit}, and is taken for {unit}; a gear "
-                "ratio looks alike."
-            )
-        else:
-            sentence = (
-                f"{column} leaves the limits of {joint} in SI units and in {unit}: another unit, zero, gear ratio or joint; "
-                "give scale and offset by hand."
-            )
-        warnings.append(CodedWarning("unit_unsure", sentence))
+        judged = {k: _judge_unit(k, column, velocities, recorded, robot) for k, column in mine.items()}
+        shown = [scale for scale, _ in judged.values() if scale is not None]
+        usual = small if 2 * shown.count(small) > len(shown) else 1.0
+        for k, (scale, doubt) in judged.items():
+            if scale is None and small in shown:
+                unit = units[usual == small]
+                doubt = f"{mine[k]} fits {units[0]} and {units[1]}, and is taken for {unit}, as most joints of its kind are."
+            scales[robot.actuated[k]] = usual if scale is None else scale
+            warnings += [CodedWarning("unit_unsure", doubt)] if doubt else []
     return scales, warnings
 
 
 MANY_TURNS = 4 * np.pi
 """Travel [rad] of a joint without limits from which its unit is doubted: two turns, or 13 degrees of another unit."""
 
+MIN_TRAVEL_SHARE = 0.1
+"""Travel in m or rad, as a share of a joint's range, that shows SI units: in mm or degrees it is below 0.2 % of the range."""
 
-def _judge_unlimited(
-    mine: Mapping[int, str], velocities: Mapping[str, str], recorded: _Recorded, robot: JointLimits
-) -> tuple[dict[str, float], list[str]]:
-    """Return the units of turning joints without limits: degrees if a velocity in rad/s shows it, else rad with a doubt."""
-    scales: dict[str, float] = {}
-    warnings: list[str] = []
-    for k, column in mine.items():
-        joint, q = robot.actuated[k], recorded.values[column]
-        if (
-            robot.joint_kinds[k] != "revolute"
-            or np.isfinite(robot.upper[k] - robot.lower[k])
-            or np.ptp(q) <= MANY_TURNS
-        ):
-            continue
-        v = velocities.get(joint)
-        slope = (
-            None if v is None or recorded.t is None else _match_slope(((column,), (v,)), recorded.values, recorded.t)
-        )
-        if slope is not None and abs(slope * DEGREE - 1) <= MAX_SLOPE_ERROR:
-            scales[joint] = DEGREE
-            sentence = f"{column} is {slope:.4g} times the integral of {v}, and is taken for degrees."
-            warnings.append(CodedWarning("unit_unsure", sentence))
-        elif slope is None:
-            sentence = f"{column} is taken for rad; {joint} has no limits, and no velocity shows the unit."
-            warnings.append(CodedWarning("unit_unsure", sentence))
-    return scales, warnings
+
+def _judge_unit(
+    k: int, column: str, velocities: Mapping[str, str], recorded: _Recorded, robot: JointLimits
+) -> tuple[float | None, str]:
+    """Return the scale of a joint's position to m or rad, or None if its own data do not show it, and a doubt or ''."""
+    joint, q = robot.actuated[k], recorded.values[column]
+    small, unit = (DEGREE, "degrees") if robot.joint_kinds[k] == "revolute" else (1e-3, "mm")
+    if (named := recorded.find_scale(column, "q")) is not None:
+        return named, ""
+    v = velocities.get(joint)
+    slope = None if v is None or recorded.t is None else _match_slope(((column,), (v,)), recorded.values, recorded.t)
+    if slope is not None and abs(slope * small - 1) <= MAX_SLOPE_ERROR:
+        return small, f"{column} is {slope:.4g} times the integral of {v}, and is taken for {unit}."
+    width = float(robot.upper[k] - robot.lower[k])
+    if not np.isfinite(width) and robot.joint_kinds[k] == "revolute":
+        doubted = slope is None and np.ptp(q) > MANY_TURNS
+        doubt = f"{column} is taken for rad; {joint} has no limits, and no velocity shows the unit."
+        return None if slope is None else 1.0, doubt if doubted else ""
+    if _is_within(q, robot, k):
+        return 1.0 if np.ptp(q) >= MIN_TRAVEL_SHARE * width else None, ""
+    if _is_within(q * small, robot, k):
+        sentence = f"{column} leaves the limits of {joint} in SI units and not in {unit}, and is taken for {unit}"
+        return small, f"{sentence}; a gear ratio looks alike."
+    sentence = (
+        f"{column} leaves the limits of {joint} in SI units and in {unit}: another unit, zero, gear ratio or joint"
+    )
+    return 1.0, f"{sentence}; give scale and offset by hand."
 
 
 def _is_within(q: NDArray[np.float64], robot: JointLimits, k: int) -> bool:

@@ -5,7 +5,10 @@ samples are left out is a `RepairedWarning`, which blocks no result. Only faults
 
 **Low update rates** (`update_rate.py`). If channels are held or interpolated from a lower rate, only the updates are used.
 
-**Frozen channels** (`signal_checks.py`). Positions and forces that keep one value while the joint moves are left out.
+**Doubled channels.** One joint's positions or forces that equal another's to the last digit come from a wrong index.
+
+**Frozen channels** (`signal_checks.py`, `check_motion.py`). Positions and forces that keep one value while the joint moves, and
+forces that are only noise about one, are left out.
 
 **Repeated samples.** A row that equals the row before in all positions and forces, while the joints move, is no measurement.
 If the next row is two steps ahead, the clock went on, and leaving the row out is exact, however many there are. If it is one
@@ -33,13 +36,14 @@ Short zero runs are interpolated.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tau_dyn.log.check_motion import find_moving_samples
+from tau_dyn.log.check_motion import find_dead_force, find_moving_samples
 from tau_dyn.log.filtering import estimate_quantisation_step
 from tau_dyn.log.log import Log
 from tau_dyn.log.resample import examine_clock, fill_short_gaps, find_true_runs, interpolate
@@ -519,7 +523,8 @@ def _leave_out_frozen(log: Log, joints: Sequence[str]) -> Repair:
             continue
         stretches += (frozen := find_frozen_positions(log, joint))
         if not frozen and log.has("tau", [joint]):
-            stretches += find_frozen_force(log, joint, find_moving_samples(log, joint))
+            frozen = find_frozen_force(log, joint, find_moving_samples(log, joint))
+            stretches += frozen or find_dead_force(log, joint)
     keep = np.ones(log.n_samples, bool)
     for s in stretches:
         keep[s.start : s.stop] = False
@@ -530,9 +535,24 @@ def _leave_out_frozen(log: Log, joints: Sequence[str]) -> Repair:
 def _frozen_sentence(log: Log, frozen: FrozenStretch) -> str:
     span = f"from {log.t[frozen.start]:.6g} to {log.t[frozen.stop - 1]:.6g} s"
     return (
-        f"{log.name}: {frozen.column} stays at the same value {span}, although {frozen.reason}. These samples are left out; look "
+        f"{log.name}: {frozen.column} {frozen.state} {span}, although {frozen.reason}. These samples are left out; look "
         "at the sensor or its bus."
     )
+
+
+def _find_doubled_channels(log: Log, joints: Sequence[str]) -> Repair:
+    """Warn of a joint's channel that equals another joint's in every sample, while their other channels differ."""
+    warnings = []
+    for one, other in combinations(joints, 2):
+        same = [signal for signal in ("q", "tau") if log.has(signal, [one, other]) and np.ptp(log.channels[f"{signal}_{one}"])
+                and np.array_equal(log.channels[f"{signal}_{one}"], log.channels[f"{signal}_{other}"])]  # fmt: skip
+        if len(same) == 1:
+            sentence = (
+                f"{log.name}: {same[0]}_{one} and {same[0]}_{other} are equal in every sample, although the joints move "
+                "differently: one column holds the other joint's channel. Map the right columns, or log them."
+            )
+            warnings.append(CodedWarning("joints_exchanged", sentence))
+    return Repair(log, warnings)
 
 
 def _mend_samples(log: Log, joints: Sequence[str]) -> Repair:
@@ -571,7 +591,7 @@ def _fill_gaps(log: Log, joints: Sequence[str]) -> Repair:
     return Repair(filled, [RepairedWarning("lost_samples", sentence)])
 
 
-_STEPS = (_mend_updates, _leave_out_frozen, _mend_samples, _mend_dropouts, _fill_gaps)
+_STEPS = (_find_doubled_channels, _mend_updates, _leave_out_frozen, _mend_samples, _mend_dropouts, _fill_gaps)
 """Repairs in their order: a low update rate looks like lost samples, and repeated rows look like both."""
 
 _REPAIRED: WeakKeyDictionary[Log, dict[tuple[str, ...], Repair]] = WeakKeyDictionary()

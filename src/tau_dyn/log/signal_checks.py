@@ -309,12 +309,13 @@ FORCE_S = 0.1
 
 
 class FrozenStretch(NamedTuple):
-    """Samples `start` to `stop - 1` at which a position keeps one value although its joint moves, and why that is so."""
+    """Samples `start` to `stop - 1` at which a channel measures nothing although its joint moves, why, and how it looks there."""
 
     column: str
     start: int
     stop: int
     reason: str
+    state: str = "stays at the same value"
 
 
 def find_frozen_positions(log: Log, joint: str) -> list[FrozenStretch]:

@@ -174,13 +174,20 @@ class LoopSolver:
         rank = int(np.sum(s > 1e-9 * s.max(initial=0.0)))
         stuck = J_a - J_p @ np.linalg.lstsq(J_p, J_a, rcond=1e-9)[0] if J_p.size else J_a
         if np.abs(stuck).max() > 1e-6 * np.abs(J_a).max():
-            raise LoopClosureError(
-                f"{self.robot.source}: the loops do not let {', '.join(self.robot.actuated)} move independently; "
-                "name fewer actuated joints"
-            )
+            n_free = jacobian.shape[1] - np.linalg.matrix_rank(np.hstack([J_p, J_a]), 1e-6 * np.abs(J_a).max())
+            raise LoopClosureError(self._describe_dependent_drives(n_free))
         free = np.zeros((self.model.nv, len(self.passive_v) - rank))
         free[self.passive_v] = vt[rank:].T
         return free
+
+    def _describe_dependent_drives(self, n_free: int) -> str:
+        """Return the sentence about more drives than freedoms, with the sum of forces that a log of fewer drives has to hold."""
+        return (
+            f"{self.robot.source}: the loops do not let {', '.join(self.robot.actuated)} move independently: there are "
+            f"{len(self.robot.actuated)} drives and {n_free} independent motion(s). Only the sum of their forces through the "
+            "loops is determined, so name as many --actuated joints as motions, and log for each such joint k the force "
+            "tau_k + sum of tau_i dq_i/dq_k over the drives i that are not named. With tau_k alone, masses and inertias are wrong"
+        )
 
     def closure_error(self, q: np.ndarray) -> float:
         """Return the largest distance between two points that should coincide [m]."""

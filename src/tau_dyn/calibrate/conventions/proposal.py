@@ -8,6 +8,7 @@ proposed.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +26,7 @@ from tau_dyn.calibrate.measured import (
     get_unit_factor,
     read_poses,
 )
-from tau_dyn.log import ColumnMap, ColumnProposal, Source, read_table, split_words
+from tau_dyn.log import ColumnMap, ColumnProposal, Source, Table, format_names, read_table, split_words
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.robot import Robot
 
@@ -51,6 +52,8 @@ def build_pose_proposal(
     table = read_table(path)
     sources = {name: name for name in table.cells} | find_pose_columns(table, robot.actuated)
     joints = [f"q_{joint}" for joint in robot.actuated]
+    numbered = {} if set(joints) <= set(sources) else _find_numbered_joints(table, robot)
+    sources |= {name: source.column for name, source in numbered.items()}
     words = {word for column in table.cells for word in split_words(column)}
     if not all(name in sources for name in (*joints, *POSITION)) or words & _OF_LOGS:
         return None
@@ -59,9 +62,11 @@ def build_pose_proposal(
     plain = {
         name: Source(sources[name], get_unit_factor(sources[name]) if sources[name] != name else 1.0) for name in names
     }
-    found = find(read_poses(path, robot.actuated))
+    plain |= numbered
+    doubts = _describe_numbered(numbered, robot)
+    found = find(read_poses(path, robot.actuated, columns=ColumnMap(numbered) if numbered else None))
     if found is None:
-        return ColumnProposal(table.name, table.sha256, tuple(robot.actuated), ColumnMap(plain).to_dict(), ())
+        return ColumnProposal(table.name, table.sha256, tuple(robot.actuated), ColumnMap(plain).to_dict(), doubts)
     stated = tuple(change for change in found.reading if _can_be_stated(change))
     left = [change for change in found.reading if change not in stated]
     meant = ColumnMap(_apply(stated, plain, joints) | _list_speeds(stated, table.cells, joints))
@@ -69,11 +74,40 @@ def build_pose_proposal(
     remaining = {change.cause for change in again.reading} if again else set()
     if stated and not remaining <= {change.cause for change in left}:
         meant, left = ColumnMap(plain), list(found.reading)
-    warnings = [found.describe(table.name)]
+    warnings = [*doubts, found.describe(table.name)]
     if left:
         said = " and ".join(change.words for change in left)
         warnings.append(CodedWarning("poses_reread", f"no map states that {said}; `calibrate` finds it by itself"))
     return ColumnProposal(table.name, table.sha256, tuple(robot.actuated), meant.to_dict(), tuple(warnings))
+
+
+def _find_numbered_joints(table: Table, robot: Robot) -> dict[str, Source]:
+    """Return the columns of all joints, by our names, in a file without a clock that has a number a joint."""
+    stems: dict[str, list[tuple[int, str]]] = {}
+    for column in table.cells:
+        if column.lower() in _CLOCKS:
+            return {}
+        if (m := re.fullmatch(r"(\D*?)[ _]?(\d+)", column)) and table.numbers_or_none(column) is not None:
+            stems.setdefault(m[1], []).append((int(m[2]), column))
+    runs = [sorted(of) for of in stems.values() if len(of) == len(robot.actuated)]
+    runs = [run for run in runs if [k for k, _ in run] == list(range(run[0][0], run[0][0] + len(run)))]
+    if len(runs) != 1:
+        return {}
+    return {f"q_{joint}": Source(column) for joint, (_, column) in zip(robot.actuated, runs[0], strict=True)}
+
+
+def _describe_numbered(numbered: Mapping[str, Source], robot: Robot) -> tuple[str, ...]:
+    """Return the doubt about joints whose columns carry numbers."""
+    if not numbered:
+        return ()
+    columns = [source.column for source in numbered.values()]
+    joints = format_names(robot.actuated)
+    sentence = f"{columns[0]} to {columns[-1]} carry numbers, not names, and are taken for {joints} in this order"
+    return (CodedWarning("column_unsure", sentence),)
+
+
+_CLOCKS = frozenset(("t", "time", "timestamp", "stamp"))
+"""Columns of a recording."""
 
 
 def _can_be_stated(change: PoseReading) -> bool:

@@ -250,6 +250,10 @@ def _follow_mimics(table: Table, mimics: Mapping[str, Mimic]) -> Table:
     return replace(table, cells=cells)
 
 
+MAX_LISTED = 40
+"""Number of columns up to which a refusal lists all: joints, pose, errors and names of a pose file."""
+
+
 def _check_columns(table: Table, actuated: Sequence[str], passive: Sequence[str]) -> None:
     other = bool(passive) or any(name in table.cells for name in (DISTANCE, *TOUCHES))
     wanted = [*(f"q_{joint}" for joint in (*actuated, *passive)), *(() if other else POSITION)]
@@ -260,7 +264,7 @@ def _check_columns(table: Table, actuated: Sequence[str], passive: Sequence[str]
             f"{table.name} has no column {format_names(missing)}; calibration poses need {format_names(wanted)} "
             f"(or {DISTANCE}, or the touched object: {format_names(TOUCHES)}) and, where the orientation "
             f"was measured, {format_names(QUATERNION)}, or a rotation vector or Euler angles {format_names(ANGLES)}; "
-            f"it has {format_names(table.cells)}",
+            f"it has {format_names(table.cells, limit=MAX_LISTED)}",
         )
     some = [name for name in QUATERNION if name in table.cells]
     if some and len(some) < 4:

@@ -36,6 +36,7 @@ class ParameterRow:
         true: The true value of a simulation; empty if it is not known.
         distance: Absolute error in standard errors.
         before: Value in the model without the causes, if there is one for comparison.
+        is_told: Whether the data tell more than a sign or the robot file does; a terminal lists no other estimate.
     """
 
     name: str
@@ -50,6 +51,7 @@ class ParameterRow:
     true: str = ""
     distance: str = ""
     before: str = ""
+    is_told: bool = True
 
 
 def build_parameter_rows(found: Identification, truth: Mapping[str, float] | None = None) -> list[ParameterRow]:
@@ -77,7 +79,8 @@ def build_parameter_table(
 ) -> list[r.Element]:
     """Return the table and its legend.
 
-    A terminal shows only parameters that are identifiable alone; the others have no estimate, and a page lists them by link.
+    A terminal shows only parameters that are identifiable alone and whose standard error is below their own size, their nominal
+    value or its standard error. A page shows all, those without an estimate by link.
 
     Args:
         rows: Its rows.
@@ -154,7 +157,7 @@ def _build_row(entry: ParameterRow, truth: bool, before: bool) -> r.Row:
         *([entry.true, entry.distance] if truth else []),
         f"{value}{entry.note}".replace(" %", "\u00a0%"),
     ]
-    return r.Row(cells, "fold" if unseen else entry.state, on=r.On.ALL if entry.interval else r.On.DRAWN)
+    return r.Row(cells, "fold" if unseen else entry.state, on=r.On.ALL if entry.is_told else r.On.DRAWN)
 
 
 def compute_bar_scale(rows: list[dict[str, Any]]) -> float:
@@ -176,6 +179,7 @@ def describe_row(entry: dict[str, Any], scale: float, group: str, note: str) -> 
     """Return a parameter in the form of the contract as text."""
     seen, sigma = entry["stderr"] is not None, entry["stderr"]
     held = entry.get("split_value", entry["value"])  # the value in the model file
+    known = max(abs(x) for x in (entry["value"], entry["nominal"] or 0.0, entry["nominal_stderr"] or 0.0))
     return ParameterRow(
         name=entry["name"],
         group=group,
@@ -186,6 +190,7 @@ def describe_row(entry: dict[str, Any], scale: float, group: str, note: str) -> 
         nominal="" if entry["nominal"] is None else r.format_number(entry["nominal"]),
         note=note,
         bar=_bar(entry, scale) if seen else None,
+        is_told=seen and sigma <= known,
     )
 
 
