@@ -150,7 +150,7 @@ def test_half_a_character_in_a_result_becomes_a_question_mark(tmp_path):
     [
         ("{", "neither a model file"),
         ("[1]", "not a result of ours"),
-        ('{"command": "identify", "status": "cannot_answer"}', "nothing to compare"),
+        ('{"command": "identify", "status": "cannot_answer"}', "no values to compare"),
         ('{"command": "identify", "parameters": [{"name": "m"}]}', "wrong kind"),
         ('{"command": "identify", "parameters": [{"name": "m", "value": "x"}]}', "wrong kind"),
     ],
