@@ -232,7 +232,7 @@ def test_the_command_writes_source_and_header(tmp_path, write, capsys) -> None:
         assert '#include "ff.h"' in out.read_text() and (tmp_path / "ff.h").exists()
         found = json.loads(result.read_text())
         assert found["left_out"] == left_out and found["difference"] < 1e-10 and found["joints"] == ["axis"]
-        assert "warning: the feedforward leaves out delay, which distorts what is recorded" in capsys.readouterr().err
+        assert "warning: the feedforward leaves out delay, which distorts the recorded force" in capsys.readouterr().err
 
 
 def test_a_robot_stands_for_its_rigid_body(tmp_path) -> None:

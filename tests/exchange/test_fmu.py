@@ -234,7 +234,7 @@ def test_what_a_state_does_not_determine_is_left_out_and_said(monkeypatch):
     found = build_fmu(made(load_robot("linear_axis"), "thermal_drift", "delay"))
     said = " ".join(found.left_out)
     assert "thermal_drift is left out: it feels temperature" in said
-    assert "delay is left out: it distorts what is recorded" in said
+    assert "delay is left out: it distorts the recording" in said
     assert "no C compiler" in said
 
 

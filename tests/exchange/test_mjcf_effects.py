@@ -186,5 +186,5 @@ def test_what_neither_can_hold_is_said():
     effects = [EFFECTS[c](robot.actuated, robot.force_units) for c in ("drive_lag", "thermal_drift")]
     model = Model.of(robot, effects)
     left_out = build_mjcf(model.with_values(dict.fromkeys(model.effect_parameters.names, 1e-3))).left_out
-    for name, why in (("drive_lag", "distorts what is recorded"), ("thermal_drift", "temperature")):
+    for name, why in (("drive_lag", "distorts the recording"), ("thermal_drift", "temperature")):
         assert any(name in sentence and why in sentence for sentence in left_out)

@@ -212,7 +212,7 @@ def test_a_law_that_contradicts_its_commands_is_refused(content):
         ({"torque_delay": 1e300}, "torque_delay is in seconds"),
         ({"dead_band": "1e-3"}, "only with a point and a sign"),
         ({"supply": {"column": "u", "nominal": float("inf")}}, "nominal: VOLTS"),
-        ({"command": "pwm", "logs": {"*": {"position_gain": 2.0}}}, "acts on nothing"),
+        ({"command": "pwm", "logs": {"*": {"position_gain": 2.0}}}, "has no effect"),
     ],
 )
 def test_a_law_of_numbers_that_cannot_be_is_refused(content, said):

@@ -126,7 +126,7 @@ def test_a_gain_above_the_stability_limit_is_refused_with_limit_and_frequency():
         ({"mass": np.nan}, "mass holds nan"),
         ({"force_gain": -0.001}, "ever harder"),
         ({"damping": 800.0}, "too fast for the sampling"),
-        ({"hand_stiffness": 1e5}, "this handle bears"),
+        ({"hand_stiffness": 1e5}, "this handle allows"),
         ({"contact_stiffness": np.nan}, "contact_stiffness must be a finite"),
         ({"contact_damping": -1.0}, "contact_damping must not be below"),
         ({"press": 20.0}, "press .* must be below force_limit"),

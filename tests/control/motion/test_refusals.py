@@ -36,7 +36,7 @@ def pendulum(effort: float):
         ([9.0, 0, 0], END, "start .* out of reach"),
         (START, [1.75, -0.6, 5.0], "end .* out of reach"),
         ([0.75, -0.6, 0.75 + 1e-3], [4.5, -0.6, 0.75], "joint limit"),
-        (START, START, "one place"),
+        (START, START, "the same place"),
         (START[:2], END, "x, y, z"),
         ([np.nan, 0, 0], END, "finite"),
     ],

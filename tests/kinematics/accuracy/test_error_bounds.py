@@ -49,8 +49,8 @@ def test_file_names_actuators_and_rods(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "holds 'actuators' and 'rods'"),
-        ("carts: {}", "holds 'actuators' and 'rods'"),
+        ("", "holds the mappings 'actuators' and 'rods'"),
+        ("carts: {}", "holds the mappings 'actuators' and 'rods'"),
         ("actuators: {cart9: 1e-5}", "no actuated joint named 'cart9'"),
         ("actuators: {cart1: -1e-5}", "zero or a positive number"),
         ("actuators: {cart1: .nan}", "zero or a positive number"),
