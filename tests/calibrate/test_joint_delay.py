@@ -95,7 +95,7 @@ def test_the_model_can_be_asked_for_and_needs_speeds() -> None:
     found = calibrate(six_axes(), poses, held, "complete+delay")
     assert found.fit.parameters["joints.delay"].value == pytest.approx(DELAY_S, abs=3e-4)
     still = PoseSet(poses.q, poses.position)
-    with pytest.raises(ValueError, match="how fast the joints moved"):
+    with pytest.raises(ValueError, match="speed of the joints is unknown"):
         calibrate(six_axes(), still, None, "complete+delay")
 
 

@@ -169,9 +169,9 @@ def test_headers_we_write_begin_with_a_signal(folder: Path, monkeypatch, capsys)
 def test_messages_are_one_printable_line_of_bounded_length(refused, tmp_path: Path) -> None:
     """Names in a message neither steer the terminal nor fill it."""
     (tmp_path / "log.csv").write_text("t,q_axis,\x1b[31mred\x07,q_axis\n" + "0,0,0,0\n" * 20)
-    assert "stands twice" in refused("check", "log.csv")
+    assert "occurs twice" in refused("check", "log.csv")
     (tmp_path / "wide.csv").write_text("t," + "x" * 50_000 + "," + "x" * 50_000 + "\n0,0,0\n")
-    assert "stands twice" in refused("check", "wide.csv")
+    assert "occurs twice" in refused("check", "wide.csv")
     assert (
         "\x1b" not in str(InputError("file_format", "a\x1b[31mb\nc"))
         and len(str(InputError("file_format", "x" * 10**6))) <= 1000

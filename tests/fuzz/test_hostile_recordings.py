@@ -238,7 +238,7 @@ def test_lists_of_messages_that_hold_nothing_are_refused(tmp_path: Path) -> None
     one = len(message(0, bytes(8)))
     chunk = b"".join(message(t, bytes(8)) for t in times)
     path = bag(tmp_path / "x.bag", [chunk], [(0, t, k * one) for k, t in enumerate(times)], definition)
-    refused(path, "messages that hold nothing")
+    refused(path, "list of empty messages")
 
 
 def test_chunks_that_are_opened_again_and_again_are_refused(tmp_path: Path) -> None:

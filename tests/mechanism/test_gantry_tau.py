@@ -19,7 +19,7 @@ def test_carts_too_far_apart_are_named_and_millimetres_are_suspected_only_of_lar
         q[n // 2, 1] += shift
         with raises_code("loop_not_closed", "cart1", "=", "cart2") as fault:
             mechanism.tool_position(q)
-        assert ("do they stand in mm?" in str(fault.value)) is hint
+        assert ("are they in mm?" in str(fault.value)) is hint
         assert f"cart2 = {q[n // 2, 1]:.4g} m" in str(fault.value)
 
 
