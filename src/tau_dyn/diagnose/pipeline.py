@@ -273,6 +273,7 @@ def _answer(
     band = (
         None if case is None else _measure_search_band(channel, before, after, case.preparation.force_cutoff_hz, seed)
     )
+    limits, untestable = compute_detection_limits(selection, [f.cause for f in findings])
     use = Recommendation("neither", spoiled)
     if not spoiled:
         use = recommend(selection, claims, waterfall, rng, case and case.physics, has_load=bool(loads.confirmed))
@@ -286,7 +287,6 @@ def _answer(
         reasons = list_contradicting(warnings) if rest == "unexplained" else []
         sentence = " ".join(filter(None, (sentence, found.remark, *(f"{capitalise(reason)}." for reason in reasons))))
     experiments = (f.experiment for f in aliased or findings if f.experiment and verdict == "cannot_tell")
-    limits, untestable = compute_detection_limits(selection, [f.cause for f in findings])
     floor = estimate_noise_floor(channel.report(), after.reported, np.random.default_rng(seed))
     settings = {"noise_draws": N_NULL_DRAWS, "family_level": FAMILY_LEVEL, "causes_tried": len(selection.last)}
     return Diagnosis(

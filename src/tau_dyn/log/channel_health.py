@@ -152,6 +152,9 @@ def _find_lost_inputs(
 def _is_driven(past: np.ndarray, y: np.ndarray, inside: np.ndarray, outside: np.ndarray) -> bool:
     """Return whether one-step errors inside a stretch exceed those outside of it, where the prediction is fitted.
 
+    If another channel is active inside only, as a hammer that moves on to the next place, the prediction does not include its
+    effect, and the answer is no.
+
     Args:
         past: Regressors (N, k).
         y: Outputs (N, p).
@@ -162,6 +165,9 @@ def _is_driven(past: np.ndarray, y: np.ndarray, inside: np.ndarray, outside: np.
     if n < AR_LAGS or outside.sum() < 4 * k:
         return False
     z = past[outside]
+    level, known = (np.mean(past[use] ** 2, axis=0) for use in (inside, outside))
+    if np.any(DEAD_RATIO**2 * level > known):
+        return False
     G = z.T @ z
     theta = np.linalg.solve(G + 1e-12 * np.mean(np.diag(G)) * np.eye(k), z.T @ y[outside])
     error, usual = (np.mean((y[use] - past[use] @ theta) ** 2, axis=0) for use in (inside, outside))
