@@ -23,7 +23,7 @@ from .identification import (
     identify as identify,
     refuse_constant_forces as refuse_constant_forces,
 )
-from .log_integrity import (
+from .integrity.log_integrity import (
     check_against_robot as check_against_robot,
     check_integrity as check_integrity,
     is_diagnosis_invalid as is_diagnosis_invalid,

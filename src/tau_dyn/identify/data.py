@@ -19,7 +19,7 @@ from tau_dyn.estimate import ROUNDING, Preparation, Regression
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.common_samples import has_common_samples
 from tau_dyn.identify.fitted_model import scale_outputs
-from tau_dyn.identify.log_integrity import check_integrity
+from tau_dyn.identify.integrity.log_integrity import check_integrity
 from tau_dyn.identify.motor_electrics import RECORDED
 from tau_dyn.identify.per_log import split_by_log
 from tau_dyn.identify.preparation import SATURATION_RATIO, list_crumbs, refuse_short

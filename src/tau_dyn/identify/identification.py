@@ -39,6 +39,7 @@ from tau_dyn.identify.estimate_warnings import (
 )
 from tau_dyn.identify.estimators import Estimator, Settled, iterate_to_fixed_point
 from tau_dyn.identify.fitted_model import Choices, build_model, build_physical_constraints, find_structural_base
+from tau_dyn.identify.force_offset import ForceOffset, build_offset_columns, estimate_offset, widen_by_offset
 from tau_dyn.identify.loop_positions import complete_positions
 from tau_dyn.identify.motor_electrics import (
     estimate_motor_electrics,
@@ -56,7 +57,6 @@ from tau_dyn.identify.per_log import (
 from tau_dyn.identify.preparation import TooShort, count_information, list_information_warnings
 from tau_dyn.identify.result import ForceErrors, Identification, build_force_errors
 from tau_dyn.identify.streaming import BlockExecutor
-from tau_dyn.identify.timing import ForceOffset, build_offset_columns, estimate_offset, widen_by_offset
 from tau_dyn.legged import complete_base, list_base_warnings
 from tau_dyn.log import Log, Recording
 from tau_dyn.message_codes import CodedWarning

@@ -21,9 +21,9 @@ from tau_dyn.estimate import (
 from tau_dyn.evidence import LogChange, list_changes
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.bands import PredictiveBands
+from tau_dyn.identify.force_offset import ForceOffset
 from tau_dyn.identify.per_log import PerLogParameter
 from tau_dyn.identify.posterior import Samples, draw_samples
-from tau_dyn.identify.timing import ForceOffset
 from tau_dyn.log import Log, Recording
 from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model

@@ -2,7 +2,7 @@
 
 `check_log` judges clock and units here and calls `signal_checks.py`, `check_motion.py`, the robot if there is one, and
 `data_integrity.py` for losses on the way to the file. Wiring and the time of the forces need a model:
-`identify/log_integrity.py`.
+`identify/integrity/log_integrity.py`.
 
 Positions in millimetres or degrees are the likeliest mistake in a foreign log. A robot's joint limits show a wrong unit with
 enough certainty for a warning; without a robot, only a number that no joint reaches does. This module converts no units: the

@@ -10,10 +10,10 @@ import pytest
 
 from tau_dyn.evidence import ReadingFit, ReadingTest
 from tau_dyn.identify import build_model, check_against_robot
-from tau_dyn.identify.excerpt import Records, make_excerpt
-from tau_dyn.identify.reading_fit import LogModel
-from tau_dyn.identify.wiring import UNDETERMINED, Fault, Mend, Search, _describe
-from tau_dyn.identify.wiring_alternatives import Rewiring
+from tau_dyn.identify.integrity.excerpt import Records, make_excerpt
+from tau_dyn.identify.integrity.reading_fit import LogModel
+from tau_dyn.identify.integrity.wiring import UNDETERMINED, Fault, Mend, Search, _describe
+from tau_dyn.identify.integrity.wiring_alternatives import Rewiring
 from tau_dyn.log import Log
 from tau_dyn.mechanism import build_mechanism
 from tau_dyn.message_codes import get_code

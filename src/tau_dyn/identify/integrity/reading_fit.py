@@ -18,8 +18,8 @@ from scipy.optimize import lsq_linear
 
 from tau_dyn.evidence import NATS_PER_NUMBER, ReadingFit, ReadingTest, compute_zero_mean_nats
 from tau_dyn.exceptions import InputError, LoopClosureError
-from tau_dyn.identify.excerpt import Excerpt, compute_clipped_power
-from tau_dyn.identify.wiring_alternatives import Rewiring
+from tau_dyn.identify.integrity.excerpt import Excerpt, compute_clipped_power
+from tau_dyn.identify.integrity.wiring_alternatives import Rewiring
 from tau_dyn.mechanism import Mechanism, build_mechanism
 from tau_dyn.robot import LENGTH_POWERS, BodyPrior, Robot, compute_body_radius
 

@@ -11,14 +11,14 @@ import pytest
 from scipy.signal import lfilter
 
 from tau_dyn.identify import build_model, check_integrity, identify, is_diagnosis_invalid
-from tau_dyn.identify.reading_fit import count_independent
-from tau_dyn.identify.timing import ForceDelay, _believed
+from tau_dyn.identify.integrity.force_timing import ForceDelay, _believed
+from tau_dyn.identify.integrity.reading_fit import count_independent
 from tau_dyn.log import Log, read_log
 from tau_dyn.message_codes import get_code
 from tau_dyn.robot import load_robot
 from tau_dyn.simulate import build_named_motion
 
-HERE = Path(__file__).resolve().parents[2]
+HERE = Path(__file__).resolve().parents[3]
 DATA = Path(os.environ.get("TAU_DYN_DATA", HERE.parent / "shared" / "data"))
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from tau_dyn.identify import identify
 from tau_dyn.identify.data import shift_forces
-from tau_dyn.identify.timing import ForceOffset
+from tau_dyn.identify.force_offset import ForceOffset
 from tau_dyn.log import Log
 from tau_dyn.robot import load_robot
 

@@ -1,8 +1,8 @@
 """Integrity tests of a log, shared by `check`, `identify` and `diagnose`.
 
 The data alone show lost, repeated, zeroed, held and frozen samples (`log/data_integrity.py`). With the robot file, wiring
-(`wiring.py`) and the time of the forces (`timing.py`) are judged on the middle minute of each mended log, joint by joint. If
-losses cannot be mended, only they are reported, because they look like wrong scales and delays.
+(`wiring.py`) and the time of the forces (`force_timing.py`) are judged on the middle minute of each mended log, joint by joint.
+If losses cannot be mended, only they are reported, because they look like wrong scales and delays.
 
 A fault blocks only the results that it can bias. A fault that was mended, or whose samples were left out, is a note.
 """
@@ -15,10 +15,10 @@ from hashlib import blake2b
 
 import numpy as np
 
-from tau_dyn.identify.excerpt import Records, make_excerpt
+from tau_dyn.identify.integrity.excerpt import Records, make_excerpt
+from tau_dyn.identify.integrity.force_timing import check_timing
+from tau_dyn.identify.integrity.wiring import check_wiring
 from tau_dyn.identify.preparation import find_excluded_samples, widen
-from tau_dyn.identify.timing import check_timing
-from tau_dyn.identify.wiring import check_wiring
 from tau_dyn.log import Log, list_data_warnings, mend_log, resample_segments
 from tau_dyn.message_codes import CodedWarning, RepairedWarning, get_code
 from tau_dyn.robot import Robot
