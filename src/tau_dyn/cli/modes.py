@@ -164,17 +164,15 @@ def _read_poses(path: Path) -> dict[str, dict[str, float]]:
     """Return the position by joint of each log in a YAML file."""
     from tau_dyn.files import read_yaml
 
-    content = read_yaml(path)
-    rows = content.items() if isinstance(content, dict) else [("", None)]
-    for name, pose in rows:
-        numbers = isinstance(pose, dict) and all(
-            isinstance(v, int | float) and not isinstance(v, bool) for v in pose.values()
-        )
-        if not numbers:
+    content, found = read_yaml(path), {}
+    for name, pose in content.items() if isinstance(content, dict) else [("", None)]:
+        values = list(pose.values()) if isinstance(pose, dict) else [None]
+        if not all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
             raise InputError(
                 "file_format", f"{path}: '{name}' has no pose; write LOG: {{JOINT: VALUE, ..}} in m or rad"
             )
-    return {str(name): {str(j): float(v) for j, v in pose.items()} for name, pose in rows}
+        found[str(name)] = {str(j): float(v) for j, v in pose.items()}
+    return found
 
 
 def _find_pose(known: dict[str, dict[str, float]], log: str) -> dict[str, float] | None:

@@ -43,7 +43,7 @@ MAX_GROUPS = 32
 
 
 @dataclass(frozen=True)
-class Channel:
+class RecordChannel:
     """One column's role.
 
     Attributes:
@@ -74,8 +74,8 @@ class PosedRecord:
     name: str
     q: np.ndarray
     pieces: tuple[Record, ...]
-    inputs: tuple[Channel, ...]
-    outputs: tuple[Channel, ...]
+    inputs: tuple[RecordChannel, ...]
+    outputs: tuple[RecordChannel, ...]
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -120,26 +120,26 @@ def _window(blows: Sequence[Record]) -> tuple[Record, ...]:
     )
 
 
-def _read_input(robot: Robot, name: str) -> Channel:
+def _read_input(robot: Robot, name: str) -> RecordChannel:
     if match := re.fullmatch(r"f([xyz])(?:_(\w+))?", name):
-        return Channel("", find_frame(robot, match[2] or "tool"), "xyz".index(match[1]))
+        return RecordChannel("", find_frame(robot, match[2] or "tool"), "xyz".index(match[1]))
     if name.startswith("tau_") and name[4:] in robot.actuated:
-        return Channel(name[4:], "", 0)
+        return RecordChannel(name[4:], "", 0)
     raise InputError(
         "bad_option", f"input '{name}' has no place on {robot.name}: name it fx_PLACE, fy_PLACE, fz_PLACE or tau_JOINT"
     )
 
 
-def _read_output(robot: Robot, name: str, free: set[str]) -> Channel:
+def _read_output(robot: Robot, name: str, free: set[str]) -> RecordChannel:
     orders = {"": 0, "q": 0, "v": 1, "a": 2}
     if match := re.fullmatch(r"([av]?)([xyz])(?:_(\w+))?", name):
-        return Channel("", find_frame(robot, match[3] or "tool"), "xyz".index(match[2]), orders[match[1]])
+        return RecordChannel("", find_frame(robot, match[3] or "tool"), "xyz".index(match[2]), orders[match[1]])
     if (match := re.fullmatch(r"([qva])_(\w+)", name)) and match[2] in robot.actuated:
         if match[2] not in free:
             raise InputError(
                 "bad_option", f"output '{name}' is that of a held drive; name tau_{match[2]} as an input too"
             )
-        return Channel(match[2], "", 0, orders[match[1]])
+        return RecordChannel(match[2], "", 0, orders[match[1]])
     raise InputError(
         "bad_option", f"output '{name}' has no place on {robot.name}: name it x_PLACE, vx_PLACE, ax_PLACE or q_JOINT"
     )

@@ -22,7 +22,7 @@ from scipy.linalg import eigh
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import FlexibleModel
-from tau_dyn.modes.springs.channels import Channel, PosedRecord, Spectrum
+from tau_dyn.modes.springs.channels import PosedRecord, RecordChannel, Spectrum
 
 RING_DOWN = 8.0
 """Time constants after which a mode counts as at rest: an amplitude of 3e-4."""
@@ -141,7 +141,7 @@ def build_pose_model(flexible: FlexibleModel, record: PosedRecord) -> PoseModel:
     free = [robot.actuated.index(joint) for joint in record.free]
     kept = np.array([*free, *range(a, len(near.M))], int)
 
-    def project(channels: Sequence[Channel]) -> np.ndarray:
+    def project(channels: Sequence[RecordChannel]) -> np.ndarray:
         places = {c.place: flexible.compute_jacobian(near, c.place) for c in channels if c.place}
         rows = [
             places[c.place][c.axis] if c.place else np.eye(len(near.M))[robot.actuated.index(c.joint)] for c in channels
