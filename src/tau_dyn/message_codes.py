@@ -236,6 +236,10 @@ WARNING_CODES: dict[str, MessageCode] = {
         "no drive has a stated stiffness: stiffness and resonances are upper bounds",
         "`<tau_dyn:drive_spring>` or `--actuator-stiffness`",
     ),
+    "springs_not_identified": MessageCode(
+        "no vibration record determines the stiffness of these springs",
+        "blows in other directions and at other places, at poses where these springs yield",
+    ),
     "force_lowpassed": MessageCode(
         "a first-order lag explains the force better than a delay", "log the force before the filter"
     ),

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from raising import raises_code
+from rich.console import Console
 
 from tau_dyn.calibrate import PoseSet, calibrate, load_calibration, propose_pose_columns, read_poses, save_calibration
-from tau_dyn.calibrate.addition_tests import screen_additions
+from tau_dyn.calibrate.addition_tests import _ProjectedResidual, screen_additions
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.laws import RodLoads
 from tau_dyn.calibrate.measured import estimate_measurement_noise
@@ -22,6 +24,8 @@ from tau_dyn.calibrate.models import Family, get_family
 from tau_dyn.calibrate.simulated import format_csv, simulate_poses
 from tau_dyn.cli import main
 from tau_dyn.mechanism import build_kinematics, build_rods
+from tau_dyn.render import build_page, print_result
+from tau_dyn.render.kinds.calibration_words import list_stiffness
 from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
 
 NOISE = (2e-5, 4e-5)
@@ -246,6 +250,11 @@ def test_the_written_robot_has_the_springs_of_its_drives(tmp_path: Path):
     ]
     assert main([*call, "--json", str(tmp_path / "map.json")]) == 0
     assert "stiffness_unknown" not in json.loads((tmp_path / "map.json").read_text())["warning_codes"]
+    console = Console(file=StringIO(), width=100)
+    print_result(console, found, {})
+    printed, page = console.file.getvalue(), build_page(found)  # type: ignore[attr-defined]
+    assert "drive" in printed and "stiffness" in printed and printed.count("N m/rad") == 3
+    assert "Stiffness of the drives" in page and page.count("N m/rad") >= 3
     softer = calibrated.theta.copy()
     softer[calibrated.geometry.parameters.names.index("arm1.drive_compliance")] *= -1
     with raises_code("unsupported", "arm1.drive_compliance"):
@@ -278,3 +287,39 @@ def test_dimensions_do_not_take_up_further_than_the_file_is_trusted():
     before, after = (float(np.sum((f.residuals / plain.sigma) ** 2)) for f in (plain, with_it))
     assert hint.addition == "elastic"
     assert hint.share == pytest.approx(1 - after / before, rel=0.3)
+
+
+def test_a_stiffness_is_the_inverse_of_its_compliance():
+    """`k = 1 / c` with the first-order error `s / c^2` and the inverted interval, in the inverse unit; none of a rigid drive."""
+    row = {
+        "name": "arm1.drive_compliance",
+        "value": 5e-4,
+        "stderr": 1e-5,
+        "ci95": [4.8e-4, 5.2e-4],
+        "unit": "rad/(N m)",
+    }
+    slide = row | {"name": "cart1.drive_compliance", "unit": "m/N", "ci95": [-1e-5, 1e-3]}
+    rigid, other = row | {"value": 0.0}, row | {"name": "arm1.length"}
+    turning, sliding = list_stiffness([row, slide, rigid, other])
+    assert turning[:3] == ("arm1", pytest.approx(2000.0), pytest.approx(40.0))
+    assert turning.ci95 == pytest.approx((1 / 5.2e-4, 1 / 4.8e-4)) and turning.unit == "N m/rad"
+    assert sliding.unit == "N/m" and sliding.ci95 == (pytest.approx(1000.0), np.inf)
+
+
+def test_screens_weigh_what_masses_lean_on_the_file():
+    """At a fit's minimum poses pull masses off the file as hard as the file pulls back: no fitted unknown lowers their sum."""
+    robot, q = draw_positions("delta", 30, 21)
+    loads = draw_loads(30, 2.0, 22)
+    family, geometry = build_elastic(robot, q, loads, "frames")
+    theta = set_compliances(geometry, 1e-3)
+    theta = np.array(
+        [0.4 if p.name.endswith("mass_error") else v for p, v in zip(geometry.parameters, theta, strict=True)]
+    )
+    poses = simulate_poses(geometry, theta, q, np.random.default_rng(23), noise=NOISE, loads=loads, turned=False)
+    fitted = fit_spec(family, family.spec("frames+elastic"), poses, Options())
+    rest = _ProjectedResidual(fitted)
+    left = np.where(fitted.state.ok[:, None], fitted.residuals / fitted.sigma, 0.0)
+    assert np.abs(fitted.prior_pulls).max() > 0.3
+    assert rest.total == pytest.approx(np.sum(left**2) + np.sum(fitted.prior_pulls**2), rel=1e-4)
+    turned = rest.free(np.concatenate([left.ravel(), fitted.prior_pulls]))
+    assert np.sum(turned**2) < (1 - 1e-3) * rest.total

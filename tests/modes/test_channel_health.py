@@ -15,8 +15,9 @@ from recordings import DT, HZ, binary, log_of, pulses, recorded, structure
 
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.log import ChannelFault, Log, find_channel_faults
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.modes import Record, find_modes
-from tau_dyn.modes.record import prepare_records
+from tau_dyn.modes.record import _is_pulses, _leave_out, build_records, prepare_records
 
 IN, OUT, N = ("force1", "force2"), ("place1", "place2"), 5000
 SECONDS = np.arange(N) * DT
@@ -180,3 +181,30 @@ def test_a_record_without_a_sound_stretch_cannot_answer():
         record.y[start:stop, 0] = record.y[start, 0]
     with pytest.raises(CannotAnswer, match="place1 stands still"):
         prepare_records([log_of(record)], IN, OUT)
+
+
+def test_a_hammer_test_is_short_pulses_followed_by_rest():
+    """Blows and their decay are one; noise, a step, a decay without a blow and a record shorter than a decay are none."""
+    record = pulses(structure(), 600, 4)
+    assert _is_pulses(record) and _is_pulses(record.window(slice(0, 400)))
+    assert not _is_pulses(_record("noise")) and not _is_pulses(_record("square"))
+    assert not _is_pulses(record.window(slice(100, 500))) and not _is_pulses(record.window(slice(0, 150)))
+
+
+def test_of_a_faulty_hammer_test_stretches_without_a_blow_are_left_out():
+    """Between two stuck stretches of a sensor only the end of a decay is left; it is no pulse test and is not fitted."""
+    blows = pulses(structure(), 600, 4)
+    log = log_of(replace(blows, u=blows.u + 0.1 * np.random.default_rng(3).normal(size=blows.u.shape)))
+    faults = [
+        ChannelFault("place1", a, b, True, CodedWarning("held_channel", f"place1 stands still from {a} to {b}."))
+        for a, b in ((100, 140), (500, 560))
+    ]
+    records = build_records(log, IN, OUT)
+    kept = _leave_out(records, log, faults, (), ())
+    assert [r.n_samples for r in kept] == [2400 - 560]
+    assert all(_is_pulses(r) for r in kept)
+    noise = _record("noise")
+    both = _leave_out(build_records(log_of(noise), IN, OUT), log_of(noise), faults, (), ())
+    assert [r.n_samples for r in both] == [360, N - 560]
+    with pytest.raises(CannotAnswer, match="No usable stretch is left"):
+        _leave_out(records, log, [replace(faults[0], start=0, stop=2390)], (), ())

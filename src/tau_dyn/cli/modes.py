@@ -31,7 +31,12 @@ def modes(
     collocated: Annotated[args.Strings, Parameter(metavar="INPUT:OUTPUT")] = (),
     time_limit: Annotated[args.Positive | None, Parameter(metavar="SECONDS")] = None,
     robot: Annotated[str | None, Parameter(metavar="ROBOT")] = None,
-    out: Annotated[Path | None, args.build_destination("MODEL.yaml", "Write the black-box model here")] = None,
+    springs: Annotated[args.Strings, Parameter(metavar="SPRING")] = (),
+    poses: Annotated[Path | None, Parameter(metavar="POSES.yaml")] = None,
+    out: Annotated[
+        Path | None,
+        args.build_destination("MODEL", "Write the black-box model here (YAML), with --springs the robot (URDF)"),
+    ] = None,
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
@@ -54,7 +59,22 @@ def modes(
         time_limit: Wall time after which no more models are tried; the best model so far is the answer
         robot: Draw the modes on this robot (outputs named x_tool, ay_plate, ...); with springs in its file also its own
             modes
+        springs: With --robot, fit springs to all logs, each at its own pose: file (those of the robot file), drives, rods,
+            or names and patterns
+        poses: Poses of the logs, LOG: {JOINT: VALUE} (default: the means of their columns q_J)
     """
+    if springs:
+        ignored = {"--reference": reference, "--collocated": collocated, "--method": method != "auto", "--order": order != "auto",
+                   "--delay": delay != "auto", "--sensor": sensor != "auto", "--time-limit": time_limit is not None}  # fmt: skip
+        if robot is None or not inputs or any(ignored.values()):
+            wrong = next((name for name, value in ignored.items() if value), "")
+            why = f"it takes no {wrong}" if wrong else "it needs --robot ROBOT and --inputs"
+            raise InputError("bad_option", f"--springs fits the springs of a robot: {why}")
+        return _fit_springs(
+            robot, (logs, holdout), (inputs, outputs), springs, poses, columns, out, robot_options, output
+        )
+    if poses is not None:
+        raise InputError("bad_option", "--poses goes with --springs")
     options = {
         "--out": out,
         "--holdout": holdout,
@@ -110,6 +130,55 @@ def modes(
         found=found,
         context={"on_robot": on_robot, "logs": read},
     )
+
+
+def _fit_springs(robot, paths, names, springs, poses, columns, out, robot_options, output) -> Outcome:
+    """Return the springs of a robot that records at several poses show."""
+    with show_progress(output.quiet) as step:
+        step("loading")
+        from tau_dyn.files import write_whole
+        from tau_dyn.log import read_log
+        from tau_dyn.modes import find_springs
+
+        machine = robot_options.load(robot)
+        known = {} if poses is None else _read_poses(poses)
+        trained, held = ([read_log(path, columns) for path in some] for some in paths)
+        at_trained, at_held = ([_find_pose(known, path) for path in some] for some in paths)
+        found = find_springs(
+            machine, trained, *map(list, names), springs=springs, poses=at_trained, holdout=held, holdout_poses=at_held,
+            seed=output.seed, progress=step,
+        )  # fmt: skip
+    read = [(str(path), log.sha256) for path, log in zip([*paths[0], *paths[1]], [*trained, *held], strict=True)]
+    return Outcome(
+        result=found.to_dict(),
+        warnings=[*machine.warnings, *(w for log in (*trained, *held) for w in log.warnings), *found.warnings],
+        inputs=[*read, columns, poses, *robot_options.list_files(robot)],
+        files={out: lambda path: write_whole(path, found.build_robot().urdf)},
+        named={"robot": out},
+        found=found,
+        context={"logs": read},
+    )
+
+
+def _read_poses(path: Path) -> dict[str, dict[str, float]]:
+    """Return the position by joint of each log in a YAML file."""
+    from tau_dyn.files import read_yaml
+
+    content, found = read_yaml(path), {}
+    for name, pose in content.items() if isinstance(content, dict) else [("", None)]:
+        values = list(pose.values()) if isinstance(pose, dict) else [None]
+        if not all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
+            raise InputError(
+                "file_format", f"{path}: '{name}' has no pose; write LOG: {{JOINT: VALUE, ..}} in m or rad"
+            )
+        found[str(name)] = {str(j): float(v) for j, v in pose.items()}
+    return found
+
+
+def _find_pose(known: dict[str, dict[str, float]], log: str) -> dict[str, float] | None:
+    """Return a log's pose by its path, its file name, or its name without ending."""
+    path = Path(log)
+    return next((known[name] for name in (str(log), path.name, path.stem) if name in known), None)
 
 
 def _project(robot, found):

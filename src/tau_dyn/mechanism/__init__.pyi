@@ -12,6 +12,7 @@ from .flexible import (
     SampledModel as SampledModel,
     name_rod_spring as name_rod_spring,
     state_springs as state_springs,
+    write_springs as write_springs,
 )
 from .frames import (
     Carried as Carried,

@@ -31,6 +31,12 @@ from .result import (
     OperationalModes as OperationalModes,
     Trace as Trace,
 )
+from .springs import (
+    FittedSpring as FittedSpring,
+    RecordFit as RecordFit,
+    SpringFit as SpringFit,
+    find_springs as find_springs,
+)
 from .state_space import (
     ModelFile as ModelFile,
     StateSpace as StateSpace,

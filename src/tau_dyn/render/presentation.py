@@ -29,6 +29,7 @@ _KINDS = {
     "kinematics.workspace": "workspace",
     "log": "recording",
     "modes": "modes",
+    "modes.springs": "springs",
     "monitor": "monitor",
     "model": "robot",
     "parameters": "robot",

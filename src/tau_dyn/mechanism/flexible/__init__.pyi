@@ -7,4 +7,8 @@ from .linear_system import (
     SampledModel as SampledModel,
 )
 from .model import FlexibleModel as FlexibleModel, Linearised as Linearised, NaturalMode as NaturalMode
-from .stated_springs import name_rod_spring as name_rod_spring, state_springs as state_springs
+from .stated_springs import (
+    name_rod_spring as name_rod_spring,
+    state_springs as state_springs,
+    write_springs as write_springs,
+)

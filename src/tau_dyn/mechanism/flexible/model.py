@@ -27,6 +27,7 @@ Reference: Khalil & Dombre 2002, ch. 7; Wittbrodt, Adamiec-Wojcik & Wojciech 200
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,8 +36,9 @@ from scipy.linalg import eigh
 
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.mechanism import AXES, TreeMechanism
+from tau_dyn.mechanism.flexible.file_masses import require_file_masses
 from tau_dyn.mechanism.flexible.linear_system import ContinuousModel, PositionDrives
-from tau_dyn.robot import Robot, load_robot_from_urdf
+from tau_dyn.robot import Robot, Spring, load_robot_from_urdf
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,20 +210,6 @@ class _Rest:
     tree: np.ndarray
 
 
-def require_file_masses(robot: Robot) -> None:
-    """Refuse a robot whose parameters are not those of its file.
-
-    Raises:
-        InputError: They are not.
-    """
-    as_filed = load_robot_from_urdf(robot.urdf, robot.source, actuated=robot.actuated).parameters
-    if as_filed.names != robot.parameters.names or np.any(as_filed.values != robot.parameters.values):
-        raise InputError(
-            "unsupported",
-            f"{robot.source}: a flexible model takes its masses from the robot file; change them there",
-        )
-
-
 class FlexibleModel:
     """A robot with the springs of its file as coordinates.
 
@@ -251,8 +239,7 @@ class FlexibleModel:
         self.freed = load_robot_from_urdf(robot.urdf, robot.source, actuated=joints, lock_springs=False)
         self.mechanism = TreeMechanism(self.freed)
         self._order = [self.freed.actuated.index(j) for j in joints]  # ours -> the tree's
-        self._stiffness = np.array([0.0] * robot.na + [s.stiffness for s in self.springs])
-        self._damping = np.array([0.0] * robot.na + [s.damping for s in self.springs])
+        self._stiffness, self._damping = self._list_forces(self.springs)
         driven = [robot.actuated.index(s.joint) for s in robot.drive_springs]
         behind = np.zeros((len(joints), len(driven)))
         behind[driven, range(len(driven))] = 1.0
@@ -300,6 +287,23 @@ class FlexibleModel:
                 self._tree(np.concatenate([rest.z[:na], np.zeros(len(self.springs))])), tool
             ),
         )
+
+    def with_springs(self, springs: Sequence[Spring]) -> FlexibleModel:
+        """Return the same robot with other stiffness and damping of its springs, in the order of `springs`."""
+        other = copy(self)
+        other.springs = tuple(springs)
+        other._stiffness, other._damping = self._list_forces(springs)
+        return other
+
+    def _list_forces(self, springs: Sequence[Spring]) -> np.ndarray:
+        """Return stiffness and damping of all coordinates (2, n), zero for the actuated ones."""
+        values = np.array([[s.stiffness, s.damping] for s in springs]).T
+        return np.hstack([np.zeros((2, self.robot.na)), values])
+
+    def compute_jacobian(self, near: Linearised, frame: str) -> np.ndarray:
+        """Return the velocity of a frame's or link's origin per coordinate's at a pose (3, n), in base axes."""
+        z = np.concatenate([near.q, near.deflection])
+        return self._jacobian(_Rest(z, self._tree(z)), frame)
 
     def _checked(self, q: Sequence[float] | np.ndarray | None) -> np.ndarray:
         q = self.robot.home if q is None else np.asarray(q, float)

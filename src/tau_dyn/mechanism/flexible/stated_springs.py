@@ -7,7 +7,7 @@ states that the part is rigid: its spring is removed. The robot with springs has
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
@@ -16,8 +16,8 @@ from defusedxml.ElementTree import fromstring
 
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.mechanism import LoopSolver, get_rods
-from tau_dyn.mechanism.flexible.model import require_file_masses
-from tau_dyn.robot import Robot, load_robot_from_urdf
+from tau_dyn.mechanism.flexible.file_masses import require_file_masses
+from tau_dyn.robot import Robot, Spring, load_robot_from_urdf
 
 _OURS = "{urn:tau_dyn}"
 _DRAKE = ("{http://drake.mit.edu}", "{https://drake.mit.edu}")
@@ -59,7 +59,28 @@ def state_springs(
         if joint not in robot.actuated:
             raise UnknownName("actuated joint", joint, robot.actuated)
         _require_positive(stiffness, f"the drive of '{joint}'")
-        _set_spring(root, "drive_spring", joint, stiffness, (drive_stderrs or {}).get(joint, 0.0))
+        _set_spring(root, "drive_spring", Spring(joint, stiffness, 0.0, (drive_stderrs or {}).get(joint)))
+    return _load(robot, root)
+
+
+def write_springs(robot: Robot, passive: Sequence[Spring], drives: Sequence[Spring]) -> Robot:
+    """Return a robot whose file has these springs of passive joints and of drives, in place of those of the same joints.
+
+    A damping below zero, which no spring has, is written as zero.
+
+    Raises:
+        InputError: A stiffness is not above zero, or the robot's masses are not its file's.
+    """
+    require_file_masses(robot)
+    root = fromstring(robot.urdf, forbid_dtd=True)
+    for tag, springs in (("spring", passive), ("drive_spring", drives)):
+        for spring in springs:
+            _require_positive(spring.stiffness, f"'{spring.joint}'")
+            _set_spring(root, tag, spring)
+    return _load(robot, root)
+
+
+def _load(robot: Robot, root: Element) -> Robot:
     return load_robot_from_urdf(
         tostring(root, encoding="unicode"),
         robot.source,
@@ -76,13 +97,18 @@ def _require_positive(stiffness: float, what: str) -> None:
         raise InputError("invalid_value", f"the stiffness of {what} must be above zero, not {stiffness}")
 
 
-def _set_spring(root: Element, tag: str, joint: str, stiffness: float, stderr: float = 0.0) -> None:
-    """Replace a joint's spring of a kind; infinity removes it, a standard error of zero is not written."""
-    for old in [e for e in root.findall(_OURS + tag) if e.get("joint") == joint]:
+def _set_spring(root: Element, tag: str, spring: Spring) -> None:
+    """Replace a joint's spring of a kind; infinity removes it, no damping and a standard error of zero are not written."""
+    for old in [e for e in root.findall(_OURS + tag) if e.get("joint") == spring.joint]:
         root.remove(old)
-    if np.isfinite(stiffness):
-        known = {"stiffness_stderr": repr(float(stderr))} if stderr > 0 else {}
-        SubElement(root, _OURS + tag, {"joint": joint, "stiffness": repr(float(stiffness)), **known})
+    if np.isfinite(spring.stiffness):
+        values = {
+            "stiffness": spring.stiffness,
+            "damping": spring.damping,
+            "stiffness_stderr": spring.stiffness_stderr or 0.0,
+        }
+        written = {name: repr(float(value)) for name, value in values.items() if value > 0}
+        SubElement(root, _OURS + tag, {"joint": spring.joint, **written})
 
 
 def _state_rods(robot: Robot, root: Element, stiffness: float) -> None:
@@ -96,11 +122,11 @@ def _state_rods(robot: Robot, root: Element, stiffness: float) -> None:
         if name in joints:
             if not np.isfinite(stiffness):
                 joints[name].set("type", "fixed")
-            _set_spring(root, "spring", name, stiffness)
+            _set_spring(root, "spring", Spring(name, stiffness, 0.0))
         elif np.isfinite(stiffness):
             directions = _find_rod_directions(robot) if directions is None else directions
             _insert_slide(robot, root, rod, directions[rod])
-            _set_spring(root, "spring", name, stiffness)
+            _set_spring(root, "spring", Spring(name, stiffness, 0.0))
 
 
 def _find_rod_directions(robot: Robot) -> dict[str, np.ndarray]:

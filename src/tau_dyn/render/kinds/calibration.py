@@ -57,6 +57,13 @@ def present_calibration(found: Calibration, *, poses: Sequence[tuple[str, str]] 
         *(findings if found.findings else []),
         *([] if found.at().of_encoders.all() else of_tool),
         r.Chapter("geometry", "Geometry", lambda: _build_geometry(found), r.On.DRAWN),
+        r.Chapter(
+            "stiffness",
+            "Stiffness of the drives",
+            lambda: _build_stiffness(found),
+            r.On.ALL,
+            when=bool(words.list_stiffness(found.parameter_rows())),
+        ),
         r.Chapter("blind", "Not identifiable", lambda: _build_blind(found), both),
         r.Chapter("sensitivity", "Sensitivity", lambda: _build_sensitivity(found)),
     ]
@@ -312,6 +319,23 @@ def _build_geometry(found: Calibration) -> Iterator[r.Element]:
         state=lambda row: "" if row["determined"] else "care",
         on=r.On.NOTEBOOK,
     )
+
+
+def _build_stiffness(found: Calibration) -> Iterator[r.Element]:
+    yield r.tabulate_things(
+        words.list_stiffness(found.parameter_rows()),
+        r.Column("drive", cell=lambda row: row.joint),
+        r.Column(
+            "stiffness",
+            "number",
+            "strong",
+            cell=lambda row: r.format_with_uncertainty(row.stiffness, row.stderr, row.unit),
+        ),
+        r.Column("95 % interval", "number", cell=lambda row: r.format_interval(row.ci95, row.stderr)),
+        r.Column("compliance", "number", "quiet", cell=lambda row: row.compliance),
+        on=r.On.ALL,
+    )
+    yield r.explain("The inverse of a drive's compliance; an interval that no compliance above zero bounds ends at ∞.")
 
 
 def _build_dimension(row: dict[str, Any], group: list[dict[str, Any]]) -> r.Row:

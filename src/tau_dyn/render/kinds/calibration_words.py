@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from math import isnan
+from collections.abc import Mapping, Sequence
+from math import inf, isnan
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tau_dyn.calibrate import Calibration, CandidateModel
 from tau_dyn.calibrate.poses import CalibrationCampaign, CameraPlacement, compute_doubling_gain, compute_min_poses
 from tau_dyn.render.presentation import BADGES
-from tau_dyn.results import Level, Verdict, count, format_list, format_number, format_quantity
+from tau_dyn.results import Level, Verdict, count, format_list, format_number, format_quantity, format_with_uncertainty
 
 NAMES = {
     "frames": "robot file",
@@ -217,3 +219,38 @@ def describe_rehearsal(plan: CalibrationCampaign) -> str:
         f"{100 * compute_doubling_gain(plan.choice.predicted):.0f} %; tour of "
         f"{len(tour.q)} places" + (f", {ways} of them on the way" if ways else "")
     )
+
+
+class DriveStiffness(NamedTuple):
+    """Stiffness of a drive, the inverse of its compliance.
+
+    Attributes:
+        joint: The drive's joint.
+        stiffness: [N/m or N m/rad].
+        stderr: Standard error, to first order.
+        ci95: 95 % interval, that of the compliance inverted; its upper end is infinite if the compliance may be zero.
+        unit: Unit of the stiffness.
+        compliance: Compliance with its standard error and unit, in words.
+    """
+
+    joint: str
+    stiffness: float
+    stderr: float
+    ci95: tuple[float, float]
+    unit: str
+    compliance: str
+
+
+def list_stiffness(rows: Sequence[Mapping[str, Any]]) -> list[DriveStiffness]:
+    """Return the stiffness of each drive whose compliance is above zero, from the rows of a fit's parameters."""
+    found = []
+    for row in rows:
+        joint, _, what = str(row["name"]).rpartition(".")
+        c, stderr, ci95 = row["value"], row["stderr"], row["ci95"]
+        if what == "drive_compliance" and c > 0 and stderr and ci95:
+            low, high = ci95
+            length, _, force = str(row["unit"]).partition("/")
+            said = format_with_uncertainty(c, stderr, str(row["unit"]))
+            interval = (1 / high, 1 / low if low > 0 else inf)
+            found.append(DriveStiffness(joint, 1 / c, stderr / c**2, interval, f"{force.strip('()')}/{length}", said))
+    return found

@@ -1,0 +1,5 @@
+"""Springs of a robot from vibration records at several poses."""
+
+from lazy_loader import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)
