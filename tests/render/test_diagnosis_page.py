@@ -22,7 +22,6 @@ from tau_dyn.render.kinds.diagnosis_words import (
     build_signature_figures,
     describe_confirmation,
     describe_unexplained,
-    format_p_value,
     format_value,
 )
 from tau_dyn.render.kinds.waterfall import (
@@ -32,7 +31,7 @@ from tau_dyn.render.kinds.waterfall import (
     format_finding,
     format_shares,
 )
-from tau_dyn.results import format_estimate, format_quantity
+from tau_dyn.results import format_estimate, format_p_value, format_quantity
 
 
 @pytest.fixture(scope="module")

@@ -147,7 +147,7 @@ def _list_evidence(found: Diagnosis, finding: Finding) -> Iterator[r.Element]:
     rows.append(("Gain", words.describe_gain(finding.gain, _get_unit(found, finding))))
     if finding.confirmation:
         rows.append(("Validation", words.describe_confirmation(finding.confirmation).removeprefix("validation: ")))
-    rows.append(("Significance", f"{words.format_p_value(finding.p_value)}, corrected for the number of tests"))
+    rows.append(("Significance", f"{r.format_p_value(finding.p_value)}, corrected for the number of tests"))
     alike = "no other known cause"
     if finding.indistinguishable_from:
         alike = r.format_list(map(words.format_cause_name, finding.indistinguishable_from))
@@ -169,7 +169,7 @@ def _build_open_end(item: Unexplained, k: int) -> r.Chapter:
             ("Depends on", r.format_list(item.depends_on)),
             ("Share", f"{r.format_percent(100 * item.share_of_residual_variance)} of the residual's variance"),
             *([("Suggested formula", item.suggested_formula)] if item.suggested_formula else []),
-            ("Significance", words.format_p_value(item.p_value)),
+            ("Significance", r.format_p_value(item.p_value)),
         ]
         charts = [] if item.signature is None else words.build_signature_figures(item.signature, explained=False)
         yield r.Beside([r.Definitions(rows)], [r.Figures(charts, "pair")] if charts else [], "evidence")
