@@ -115,8 +115,9 @@ def _doubt_without_robot(log: Log) -> list[str]:
         low, high = _extent(log, joint)
         if max(abs(low), abs(high)) > SUSPECT:
             sentence = (
-                f"{log.name}: q_{joint} runs from {low:.4g} to {high:.4g}, probably in mm or degrees; "
-                "positions are in m or rad (scale 0.001 or 0.0174532925 in a column map)."
+                f"{log.name}: q_{joint} runs from {low:.4g} to {high:.4g}, in mm or degrees, or through "
+                f"{(high - low) / (2 * np.pi):.0f} turns; positions are in m or rad (scale 0.001 or 0.0174532925 in a column "
+                "map). The robot file decides: tau-dyn check LOG ROBOT."
             )
             sentences.append(CodedWarning("scale_wrong", sentence))
     return sentences
