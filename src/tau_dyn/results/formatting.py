@@ -184,8 +184,9 @@ def end_sentence(text: str) -> str:
 
 
 def capitalise(text: str) -> str:
-    """Return a text with a capital first letter if it begins with a word, not a name such as a file's or a channel's."""
-    return text[:1].upper() + text[1:] if text.split(" ", 1)[0].rstrip(",:;").isalpha() else text
+    """Return a text with a capital first letter if it begins with a word, not a name such as a file's or a channel's (`t`)."""
+    word = text.split(" ", 1)[0].rstrip(",:;")
+    return text[:1].upper() + text[1:] if word.isalpha() and (len(word) > 1 or word == "a") else text
 
 
 def replace_plus_minus(text: str) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tau_dyn import results as r
+from tau_dyn.effects import NO_EXPERIMENT
 from tau_dyn.evidence import (
     MAX_OUTPUT_LOSS_PERCENT,
     PRINTED_DIGITS,
@@ -197,6 +198,11 @@ def list_limits(limits: Sequence[Limit]) -> list[str]:
         or f"{format_cause_name(limit.cause)} {r.format_quantity(limit.amplitude, limit.unit, 2)}"
         for limit in limits
     ]
+
+
+def list_untestable(diagnosis: Diagnosis) -> list[Untestable]:
+    """Return the causes that other logs would test; those whose part the robot lacks are left out."""
+    return [item for item in diagnosis.untestable if item.experiment != NO_EXPERIMENT]
 
 
 def group_by_reason(items: Sequence[Untestable]) -> list[tuple[str, list[str]]]:
