@@ -204,6 +204,13 @@ def test_a_column_without_numbers_is_missing(tmp_path) -> None:
     assert not any("finish its file" in finding.remedy for finding in check_log(log).findings)
 
 
+def test_a_part_beyond_the_end_states_the_range_of_the_log(tmp_path) -> None:
+    """`log[100.0:]` of a log of 1.6 s holds nothing; the sentence gives the range."""
+    log = read_log(write_rows(tmp_path / "a.csv", get_numbers()))
+    with raises_code("too_little_data", "0 of 400 samples from 0 to 1.596 s"):
+        log[100.0:]
+
+
 def test_signals_in_rows_are_refused_with_the_way_to_turn_them(tmp_path) -> None:
     """One value a line with its topic's name: a log has a column for each signal."""
     rows = [(t, name, x) for t, q, tau in zip(T, Q, TAU, strict=True) for name, x in (("q_axis", q), ("tau_axis", tau))]
