@@ -72,6 +72,22 @@ def test_the_command_line_recovers_the_truth(result):
         assert rows[name]["identifiable"]
 
 
+def test_a_structured_residual_ends_with_the_search_for_its_cause(folder, capsys):
+    """A sine of the position left in the force ends with the command that names it; a residual of noise ends without."""
+    (folder / "ripple.yaml").write_text(
+        (folder / "truth.yaml").read_text().replace("parameters: {carriage", "  - {effect: cyclic_ripple, joints: [axis], "
+        "settings: {period: 0.2}, parameters: {ripple_sin: 12}}\nparameters: {carriage")
+    )  # fmt: skip
+    made = ["--motion", "fourier", "--duration", "20", "--force-noise", "1", "--encoder-noise", "1e-6", "--quiet"]
+    log = str(folder / "a ripple.csv")
+    assert main(["simulate", "linear_axis", "--effects", str(folder / "ripple.yaml"), *made, "--out", log]) == 0
+    capsys.readouterr()
+    assert main(["identify", "linear_axis", log]) == 0
+    assert f"tau-dyn diagnose linear_axis '{log}'" in capsys.readouterr().out.replace("\n", " ")
+    assert main(["identify", "linear_axis", str(folder / "monday.csv")]) == 0
+    assert "tau-dyn diagnose" not in capsys.readouterr().out
+
+
 def test_a_result_says_where_it_came_from(result, folder):
     """Every input stands in the result with its hash, beside version, command, seed and status."""
     assert result["status"] == "ok"

@@ -61,7 +61,7 @@ def test_all_outputs_are_written(tmp_path, logs, asked, capsys):
     assert [len(i["sha256"]) for i in result["inputs"]] == [64, 64, 64]
     assert Model.load(out["--out"]).effects and "An answer." in out["--report"].read_text(encoding="utf-8")
     printed = capsys.readouterr()
-    assert "An answer." in printed.out and "extended model →" in printed.out and "warning: a doubt" in printed.err
+    assert "An answer." in printed.out and "refitted model →" in printed.out and "warning: a doubt" in printed.err
     assert asked["choices"].fix == ("carriage_link.mass",) and asked["exclude"] == ("flag",) and asked["seed"] == 4
     assert asked["model"] == "rigid" and len(asked["logs"]) == len(asked["holdout"]) == 1
 

@@ -13,12 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from tests.log.recordings import write_bag
 
 from tau_dyn.cli import main
 from tau_dyn.control import Correction, read_reference, write_correction, write_reference
 from tau_dyn.control.interface.reference import compute_digest
 from tau_dyn.effects import QuadraticDrag, Stribeck, build_friction_model
 from tau_dyn.exchange import build_urdf, describe_price
+from tau_dyn.log import read_log
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
 from tau_dyn.simulate import Trajectory, build_named_motion, move, simulate
@@ -220,6 +222,24 @@ def mapped(tmp_path_factory) -> Path:
         patch.chdir(folder)
         assert main(["identify", "arm.urdf", "log.csv", "--columns", "map.yaml", "--out", "m.yaml", "--quiet"]) == 0
     return folder
+
+
+def test_a_bag_folder_gives_the_price(mapped) -> None:
+    """A ROS 2 bag is a folder; its hash covers its files, and the price is that of the same samples in one file."""
+    pytest.importorskip("rosbags")
+    table = np.loadtxt(mapped / "log.csv", delimiter=",", skiprows=1)
+    states = [
+        (ns, {"header": {"stamp": {"sec": ns // 10**9, "nanosec": ns % 10**9}}, "name": ["j"], "position": [q],
+              "velocity": [], "effort": [tau]})
+        for ns, q, tau in ((round(t * 1e9), q, tau) for t, q, tau in table)
+    ]  # fmt: skip
+    write_bag(mapped / "run", {"/joint_states": states}, ros=2)
+    model = Model.load(mapped / "m.yaml")
+    rows = model.provenance["trained_on"], [{"path": "run", "sha256": read_log(mapped / "run").sha256}]
+    prices = [
+        describe_price(replace(model, provenance={"trained_on": r}), [build_urdf(model).carried], mapped) for r in rows
+    ]
+    assert prices[0] == prices[1] and "N m at j" in prices[0]
 
 
 @pytest.mark.parametrize("form", ["urdf", "xml", "sdf"])

@@ -183,7 +183,7 @@ def test_right_units_raise_no_doubt(axis_log):
 def test_without_a_robot_only_the_impossible_is_doubted(axis_log):
     """400 mm reads like a wrong unit; 40 may be turns of a motor."""
     thousand = axis_log.with_channels(q_axis=1000 * axis_log.channels["q_axis"])
-    assert "probably in mm or degrees" in list_unit_warnings(thousand)[0]
+    assert "in mm or degrees, or through 128 turns" in list_unit_warnings(thousand)[0]
     assert list_unit_warnings(axis_log.with_channels(q_axis=100 * axis_log.channels["q_axis"])) == ()
 
 

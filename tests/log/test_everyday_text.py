@@ -73,12 +73,35 @@ def test_layouts_of_spreadsheets_hold_the_same_samples(tmp_path, layout) -> None
 
 def test_quoted_decimal_commas_between_commas_are_numbers(tmp_path) -> None:
     """Cells in quotes keep their comma."""
-    rows = [
-        '"{}","{}","{}"'.format(*(f"{x:.9f}".replace(".", ",") for x in row)) for row in zip(T, Q, TAU, strict=True)
-    ]
-    path = tmp_path / "a.csv"
-    path.write_text("\n".join(["t,q_axis,tau_axis", *rows]) + "\n")
-    assert_same(read_log(path))
+    assert_same(read_log(write_quoted(tmp_path / "a.csv")))
+
+
+def write_quoted(path: Path, *, head: str = "t,q_axis,tau_axis", end: str = "", longer: int = -1) -> Path:
+    """Write decimal commas in quotes between commas; one row may have a cell too many."""
+    rows = [",".join(f'"{x:.9f}"'.replace(".", ",") for x in row) + end for row in zip(T, Q, TAU, strict=True)]
+    path.write_text("\n".join([head, *(row + ",0" * (k == longer) for k, row in enumerate(rows))]) + "\n")
+    return path
+
+
+def test_quoted_cells_may_end_with_a_separator(tmp_path) -> None:
+    """A comma at the end of each line makes no column, although quoted cells hold commas as well."""
+    assert_same(read_log(write_quoted(tmp_path / "a.csv", head="t,q_axis,tau_axis,", end=",")))
+
+
+def test_one_row_with_a_cell_too_many_is_named(tmp_path) -> None:
+    """A single long row between quoted decimal commas is that row's fault, and no decimal sign's."""
+    path = write_quoted(tmp_path / "a.csv", longer=79)
+    with raises_code("file_format", "line 81 has 4 cells", "every line needs 3"):
+        read_log(path)
+
+
+def test_one_cell_of_text_is_named_among_decimal_commas(tmp_path) -> None:
+    """The refusal names the cell that is no number, and not the first number of its column."""
+    path = write_rows(tmp_path / "a.csv", get_numbers(), sign=";", decimal=",")
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:80], lines[80].rpartition(";")[0] + ";ERR", *lines[81:]]) + "\n")
+    with raises_code("bad_sample", "line 81", "'ERR' is not a number"):
+        read_log(path)
 
 
 def test_signs_between_thousands_belong_to_the_number(tmp_path) -> None:
@@ -179,6 +202,13 @@ def test_a_column_without_numbers_is_missing(tmp_path) -> None:
     with raises_code("missing_column", "tau_axis has no number in it"):
         log.joint("tau", ["axis"])
     assert not any("finish its file" in finding.remedy for finding in check_log(log).findings)
+
+
+def test_a_part_beyond_the_end_states_the_range_of_the_log(tmp_path) -> None:
+    """`log[100.0:]` of a log of 1.6 s holds nothing; the sentence gives the range."""
+    log = read_log(write_rows(tmp_path / "a.csv", get_numbers()))
+    with raises_code("too_little_data", "0 of 400 samples from 0 to 1.596 s"):
+        log[100.0:]
 
 
 def test_signals_in_rows_are_refused_with_the_way_to_turn_them(tmp_path) -> None:

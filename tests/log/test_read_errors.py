@@ -46,11 +46,12 @@ def test_a_likely_mistake_is_named_with_its_remedy(tmp_path, wrong, words):
         (b"\x1f\x8b\x08" + bytes(300), "gzip"),
         (json.dumps({"t": [0, 1]}, indent=1).encode(), "is JSON"),
         (b'[{"t": 0}]', "is JSON"),
+        (b'<?xml version="1.0"?>\n<robot name="arm"/>\n', "is XML, such as a robot file; give the log first"),
         (b"t q_axis tau_axis\n" + b"".join(b"%.3f 0.1 1\n" % t for t in T), "separate names and cells by commas"),
     ],
 )
 def test_other_programs_files_are_called_by_their_name(tmp_path, data, words):
-    """An Excel sheet, an archive, JSON or columns between blanks are said to be that, not to lack a header."""
+    """An Excel sheet, an archive, a robot file, JSON or columns between blanks are said to be that, not to lack a header."""
     (tmp_path / "odd.csv").write_bytes(data)
     with pytest.raises(InputError, match=words):
         read_log(tmp_path / "odd.csv")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -16,7 +17,7 @@ from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError, UnknownNam
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.monitor import identify_payload
-from tau_dyn.monitor.drive_gains import compare_drives
+from tau_dyn.monitor.drive_gains import _find_basis, compare_drives
 from tau_dyn.render import build_page, print_result
 from tau_dyn.robot import INERTIAL, Robot, load_robot
 from tau_dyn.simulate import build_fourier_motion
@@ -190,6 +191,28 @@ def test_forces_that_were_not_measured_or_point_back_are_no_payload(arm, factor:
     with pytest.raises(TauDynError) as fault:
         identify_payload(arm, [spoilt], [loaded])
     assert fault.value.code == code
+
+
+def test_forces_of_all_joints_in_another_unit_weigh_nothing(arm) -> None:
+    """Motor currents [A] make every mass smaller by the torque constant; one joint alone is compared with the others."""
+    logs = [
+        record(arm, carry(arm, mass), seed, name, noise=0.01)
+        for seed, name, mass in ((1, "empty", 0), (2, "loaded", MASS))
+    ]
+
+    def scale(log: Log, factor: float, joints: Sequence[str]) -> Log:
+        return log.with_channels(**{f"tau_{j}": factor * log.channels[f"tau_{j}"] for j in joints})
+
+    with pytest.raises(InputError, match="torque constant") as fault:
+        identify_payload(arm, *([scale(log, 0.08, arm.robot.actuated)] for log in logs))
+    assert fault.value.code == "scale_wrong" and "[N m/A]" in str(fault.value)
+    assert identify_payload(arm, *([scale(log, 0.97, ["roll"])] for log in logs)).mass.determined
+
+
+def test_columns_of_rounding_size_are_no_combinations() -> None:
+    """A column of 1e-16 next to one of 1 is the rounding of a dependent column; scaled to one it would look independent."""
+    columns = np.random.default_rng(0).normal(size=(12, 3)) * [1.0, 1.0, 1e-16]
+    assert _find_basis(columns).shape == (3, 2)
 
 
 def test_what_is_no_pair_of_recordings_is_refused() -> None:

@@ -9,12 +9,14 @@ import io
 import json
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from rich.console import Console
 
-from tau_dyn.evidence import Finding, Unexplained
+from tau_dyn.effects import NO_EXPERIMENT
+from tau_dyn.evidence import Finding, Unexplained, Untestable
 from tau_dyn.parameters import Parameter
 from tau_dyn.render import build_page, print_result, write_report
 from tau_dyn.render.chart import draw_figure
@@ -22,8 +24,8 @@ from tau_dyn.render.kinds.diagnosis_words import (
     build_signature_figures,
     describe_confirmation,
     describe_unexplained,
-    format_p_value,
     format_value,
+    list_untestable,
 )
 from tau_dyn.render.kinds.waterfall import (
     build_output_series,
@@ -32,7 +34,7 @@ from tau_dyn.render.kinds.waterfall import (
     format_finding,
     format_shares,
 )
-from tau_dyn.results import format_estimate, format_quantity
+from tau_dyn.results import format_estimate, format_p_value, format_quantity
 
 
 @pytest.fixture(scope="module")
@@ -286,3 +288,10 @@ def test_a_mass_is_told_from_a_difference(name, value, said):
     p = Parameter(name, value, "kg", stderr=0.045)
     finding = Finding("link_mass", ("arm_link",), "parameter", 9.0, 1e-6, (p,), None, (), "", "", "")
     assert format_finding(finding)[-1] == said
+
+
+def test_causes_of_parts_that_a_robot_lacks_are_not_listed():
+    """A serial arm has no guideway: only causes that other logs would test are listed as not testable."""
+    lacking = Untestable("guideway_nonparallel", "the robot has no carts", NO_EXPERIMENT)
+    cold = Untestable("thermal_drift", "the logs give no temperature", "the same motion repeated from cold to warm")
+    assert list_untestable(SimpleNamespace(untestable=(lacking, cold))) == [cold]

@@ -15,7 +15,15 @@ from tau_dyn.render.kinds.identification import describe_headline, describe_verd
 from tau_dyn.render.kinds.parameter_rows import ParameterRow, group_rows
 from tau_dyn.render.sketch import draw_robot
 from tau_dyn.render.time_view import decimate_min_max, encode_int16, find_gaps
-from tau_dyn.results import RobotPicture, format_list, format_percent, format_with_uncertainty
+from tau_dyn.results import (
+    RobotPicture,
+    format_list,
+    format_number,
+    format_p_value,
+    format_percent,
+    format_quantity,
+    format_with_uncertainty,
+)
 from tau_dyn.robot import load_robot_from_urdf
 
 
@@ -34,6 +42,13 @@ from tau_dyn.robot import load_robot_from_urdf
 def test_value_and_error_share_their_last_digit(value, stderr, text):
     """Two digits of the standard error, the value to the same decimal."""
     assert format_with_uncertainty(value, stderr, "kg") == text
+
+
+def test_rounding_errors_of_zero_are_zero():
+    """4.441e-21 kg m² is the rounding of a product; a nanometre and a p-value are not."""
+    assert format_number(4.441e-21) == "0" and format_quantity(6.9e-17, "m") == "0 m"
+    assert format_quantity(-2e-9, "m") == "−0.002 µm" and format_number(3e-9) == "3.000e−09"
+    assert format_p_value(1e-30) == "p < 0.000001" and format_p_value(2e-4) == "p = 0.0002"
 
 
 def test_percentages_have_two_digits():

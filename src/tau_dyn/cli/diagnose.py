@@ -93,10 +93,15 @@ def diagnose(
         inputs=inputs,
         lines=[f"proposed: {note}" for note in result.get("proposal", {}).get("notes", ())],
         files=files,
-        named={"extended model": out, "motion": propose if propose in files else None},
+        named={_name_model(found): out, "motion": propose if propose in files else None},
         found=found,
         exit_status=status,
     )
+
+
+def _name_model(found: Any) -> str:
+    """Return what the written model is: without a confirmed cause it is the refitted one."""
+    return "extended model" if any(f.status == "confirmed" for f in found.findings) else "refitted model"
 
 
 def _read_law(path: Path | None, robot, logs):

@@ -144,7 +144,7 @@ class Outcome:
             wide = not console.is_terminal and "COLUMNS" not in os.environ
             print_result(console, self.found, written, wide_tables=wide, **self.context)
         for line in self.lines:
-            console.print(line, markup=False)
+            console.print(line, markup=False, soft_wrap=line.startswith("tau-dyn "))  # a command stays one line
 
 
 @dataclass(frozen=True)

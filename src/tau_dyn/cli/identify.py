@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import shlex
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
@@ -13,6 +14,9 @@ from tau_dyn.cli import arguments as args
 from tau_dyn.cli.execute import Outcome
 from tau_dyn.cli.progress import show_progress
 from tau_dyn.exceptions import InputError
+
+if TYPE_CHECKING:
+    from tau_dyn.identify import Identification
 
 _BLOCKS = Group("Large recordings, which are read block by block")
 
@@ -86,7 +90,10 @@ def identify(
                 **fitting.collect(model, output.seed),
             )
         files, drawn = _list_files(out, found, samples, output.seed, step)
-    told = "output error through the closed loop" if isinstance(found, LoopIdentification) else found.estimator
+    if isinstance(found, LoopIdentification):
+        lines = ["estimator: output error through the closed loop"]
+    else:
+        lines = [f"estimator: {found.estimator}", *_suggest_diagnosis(found, robot, logs, holdout, fitting.columns)]
 
     return Outcome(
         result=found.to_dict() | ({} if drawn is None else {"samples": drawn.to_dict()}),
@@ -96,11 +103,27 @@ def identify(
             *fitting.list_inputs(model, [*logs, *holdout], [*trained, *held]),
             controller,
         ],
-        lines=[f"estimator: {told}"],
+        lines=lines,
         files=files,
         named={"samples" if _is_table(path) else "model": path for path in files},
         found=found,
     )
+
+
+def _suggest_diagnosis(
+    found: Identification, robot: str, logs: Sequence[str], holdout: Sequence[str], columns: Path | None
+) -> list[str]:
+    """Return a line with the command that searches for causes; empty if the residual is noise, or nearly."""
+    from tau_dyn.evidence import MIN_STRUCTURED_SHARE, find_poor_fits
+
+    fits = find_poor_fits(found.estimate.regression, found.estimate.residuals(), MIN_STRUCTURED_SHARE)
+    if not fits:
+        return []
+    listed = ", ".join(f"{fit.joint} ({100 * fit.missed_share:.2g} % of its force)" for fit in fits)
+    words = ["tau-dyn", "diagnose", robot, *logs]
+    words += ["--holdout", *holdout] if holdout else []
+    words += ["--columns", str(columns)] if columns is not None else []
+    return [f"the residual is more than noise at {listed}; the search for its cause:", shlex.join(words)]
 
 
 def _is_table(path: Path | None) -> bool:

@@ -33,10 +33,10 @@ _PREFIXES = {
     "s": ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs")),
     "rad": ((1.0, "rad"), (1e-3, "mrad"), (1e-6, "µrad")),
     "rad/s": ((1.0, "rad/s"), (1e-3, "mrad/s")),
-    "m/N": ((1.0, "m/N"), (1e-6, "µm/N"), (1e-9, "nm/N")),
+    "m/N": ((1.0, "m/N"), (1e-3, "mm/N"), (1e-6, "µm/N"), (1e-9, "nm/N")),
     "N/m": ((1e9, "GN/m"), (1e6, "MN/m"), (1e3, "kN/m"), (1.0, "N/m")),
     "N m/rad": ((1e9, "GN m/rad"), (1e6, "MN m/rad"), (1e3, "kN m/rad"), (1.0, "N m/rad")),
-    "rad/(N m)": ((1.0, "rad/(N m)"), (1e-6, "µrad/(N m)"), (1e-9, "nrad/(N m)")),
+    "rad/(N m)": ((1.0, "rad/(N m)"), (1e-3, "mrad/(N m)"), (1e-6, "µrad/(N m)"), (1e-9, "nrad/(N m)")),
 }
 
 NO_EXPERIMENT = "none: the robot lacks the part"

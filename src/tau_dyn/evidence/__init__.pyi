@@ -66,6 +66,7 @@ from .judge import (
 )
 from .lack_of_fit import (
     MAX_MISSED_SHARE as MAX_MISSED_SHARE,
+    MIN_STRUCTURED_SHARE as MIN_STRUCTURED_SHARE,
     describe_poor_fits as describe_poor_fits,
     find_poor_fits as find_poor_fits,
 )

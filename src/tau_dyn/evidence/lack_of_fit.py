@@ -27,6 +27,8 @@ from tau_dyn.message_codes import CodedWarning
 MAX_MISSED_SHARE = 0.2
 """Largest share of a joint's force, beyond noise, that a model may leave unexplained. Models of sound geared robots leave 2 to
 15 % of it, by friction that no textbook law describes; beyond a fifth a force is missing, or a sign, unit or zero is wrong."""
+MIN_STRUCTURED_SHARE = 0.02
+"""Share beyond noise from which a search for causes is advised: below it, the spectrum assumed for the noise decides."""
 LEVEL = 1e-3
 """Significance level, over all joints, of a residual beyond noise."""
 SEGMENT_ROWS = 16
@@ -52,12 +54,15 @@ class PoorFit:
     p_value: float
 
 
-def find_poor_fits(regression: Regression, residuals: Sequence[np.ndarray]) -> tuple[PoorFit, ...]:
-    """Return the joints at which a model leaves more than `MAX_MISSED_SHARE` of the force unexplained, beyond noise.
+def find_poor_fits(
+    regression: Regression, residuals: Sequence[np.ndarray], min_share: float = MAX_MISSED_SHARE
+) -> tuple[PoorFit, ...]:
+    """Return the joints at which a model leaves more than a share of the force unexplained, beyond noise.
 
     Args:
         regression: Forces, masks and the low-pass applied to them.
         residuals: Measured minus predicted (n, m) of each run, filtered equally.
+        min_share: Smallest rms of the residual without noise over that of the force.
     """
     found = []
     for k, joint in enumerate(regression.outputs):
@@ -70,7 +75,7 @@ def find_poor_fits(regression: Regression, residuals: Sequence[np.ndarray]) -> t
         share = float(np.sqrt(max(0.0, square - noise) / np.mean(y**2)))
         chance = float(stats.f.sf(square / noise, *freedom)) if noise > 0 else 0.0
         p_value = min(1.0, len(regression.outputs) * chance)
-        if share > MAX_MISSED_SHARE and p_value < LEVEL:
+        if share > min_share and p_value < LEVEL:
             found.append(PoorFit(joint, share, float(np.sqrt(noise)), p_value))
     return tuple(found)
 

@@ -294,7 +294,8 @@ def _find_log(row: Mapping[str, Any], folder: Path) -> Log | None:
     several = map_ is not None and bool(map_.files)  # the hash of a log of several files covers all their bytes
     name = Path(row["path"])
     for path in dict.fromkeys((name, folder / name, folder / name.name)):
-        if path.is_file() and (several or compute_sha256(path) == row.get("sha256")):
+        is_folder = path.is_dir()  # a ROS 2 bag; its hash covers its files
+        if is_folder or path.is_file() and (several or compute_sha256(path) == row.get("sha256")):
             log = read_log(path, map_)
             if log.sha256 == row.get("sha256"):
                 return log

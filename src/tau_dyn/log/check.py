@@ -45,6 +45,9 @@ MAX_AXIS_LENGTH_M = 20.0
 WIDEST_TURN = 16 * np.pi
 """Largest plausible position of a revolute joint without limits [rad]: eight turns."""
 
+ROUNDED_JITTER = 1e-6
+"""Difference of steps, relative to a step, below which it is the rounding of the stamps' numbers."""
+
 SUSPECT = 100.0
 """Without a robot, positions beyond this give a warning [m or rad]."""
 
@@ -112,8 +115,9 @@ def _doubt_without_robot(log: Log) -> list[str]:
         low, high = _extent(log, joint)
         if max(abs(low), abs(high)) > SUSPECT:
             sentence = (
-                f"{log.name}: q_{joint} runs from {low:.4g} to {high:.4g}, probably in mm or degrees; "
-                "positions are in m or rad (scale 0.001 or 0.0174532925 in a column map)."
+                f"{log.name}: q_{joint} runs from {low:.4g} to {high:.4g}, in mm or degrees, or through "
+                f"{(high - low) / (2 * np.pi):.0f} turns; positions are in m or rad (scale 0.001 or 0.0174532925 in a column "
+                "map). The robot file decides: tau-dyn check LOG ROBOT."
             )
             sentences.append(CodedWarning("scale_wrong", sentence))
     return sentences
@@ -179,6 +183,8 @@ def _rate(log: Log, clock: Clock) -> CheckFinding:
 def _evenness(log: Log, clock: Clock) -> CheckFinding:
     rounded = f"{log.name}: uniform clock, rounded stamps."
     differ = f"{log.name}: steps differ from {clock.dt:.6g} s by up to {100 * clock.jitter:.2g} %."
+    if clock.jitter < ROUNDED_JITTER:
+        differ = f"{log.name}: steps are equal, {clock.dt:.6g} s."
     uneven, remedy = clock.jitter > MAX_RELATIVE_JITTER, "Stamp samples in the real-time loop; the log is resampled."
     rounding = (clock.rounded, rounded, "Write more digits; a uniform clock is used.")
     return choose_finding("jitter", differ, rounding, (uneven, differ, remedy))

@@ -82,11 +82,12 @@ _OTHER_FILES = {
     b"PK\x03\x04": "an Excel workbook or another zip archive; save its sheet as CSV in UTF-8",
     b"\xd0\xcf\x11\xe0": "an old Excel workbook; save its sheet as CSV in UTF-8",
     b"\x1f\x8b": "compressed by gzip; unpack it first",
+    b"<": "XML, such as a robot file; give the log first and the robot second: tau-dyn check LOG ROBOT",
     b"%PDF": "a PDF; give the recording itself, as CSV",
     b"PAR1": "a Parquet file; let its name end in .parquet",
     b"\x89HDF": "an HDF5 file (MATLAB 7.3 is one); export it as CSV or Parquet, from MATLAB with save(.., '-v7')",
 }
-"""First bytes of a binary file -> its format, and a remedy."""
+"""First bytes of a file that is no table -> its format, and a remedy."""
 
 
 def describe_bad_cell(cell: object, largest: float) -> str:
@@ -209,7 +210,10 @@ def describe_missing_clock(file: str, columns: Sequence[str]) -> str:
     scale = find_named_scale(clock, "t")
     entry = clock or "NAME" if scale in (None, 1.0) else f"{{column: {clock}, scale: {scale:g}}}"
     line = f"`t: {entry}`, or `t: {{rate_hz: F}}` without a clock,"
-    more = f"; name the clock t [s], or write {line} into a column map (--columns MAP.yaml)"
+    more = (
+        f"; name the clock t [s], or write {line} into a column map (--columns MAP.yaml); tau-dyn columns LOG ROBOT proposes "
+        "the whole map"
+    )
     return describe_missing_column(file, "t", columns, more=more)
 
 

@@ -545,7 +545,7 @@ def _propose_forces(groups: Sequence[ColumnGroup], recorded: _Recorded, robot: J
             unit = "" if scales[first] else " in N m (N of a sliding joint)"
             sentence = (
                 f"{columns[first]} is taken for the torque behind the gear{unit}; one at the motor takes the gear ratio as "
-                "its scale."
+                "its scale, a current [A] the torque constant behind the gear [N m/A]."
             )
             warnings.append(CodedWarning("unit_unsure", sentence))
         entries = {f"tau_{j}": _build_entry(c, scales[j] or 1.0) for j, c in columns.items()}

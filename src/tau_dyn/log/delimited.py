@@ -161,7 +161,9 @@ def _drop_trailing_separator(layout: _Layout) -> _Layout:
     sign = layout.separator
     if layout.header[-1] and not layout.header[-1].isdigit() or len(layout.header) < 2:
         return layout
-    if not all(line.endswith(sign) and line.count(sign) == len(layout.header) - 1 for line in layout.lines):
+    if not all(
+        line.endswith(sign) and _count_separators(line, sign) == len(layout.header) - 1 for line in layout.lines
+    ):
         if not layout.header[-1]:
             raise InputError(
                 "missing_column",
@@ -170,6 +172,11 @@ def _drop_trailing_separator(layout: _Layout) -> _Layout:
             )
         return layout
     return layout._replace(header=layout.header[:-1], lines=[line[: -len(sign)] for line in layout.lines])
+
+
+def _count_separators(line: str, sign: str) -> int:
+    """Return the number of separators between cells of a line; a cell in quotes may hold more of them."""
+    return line.count(sign) if '"' not in line else len(_cells_of("", 0, line, sign)) - 1
 
 
 def _take_unit_rows(layout: _Layout) -> tuple[_Layout, dict[str, str]]:
@@ -258,7 +265,13 @@ def _check_lengths(layout: _Layout) -> tuple[_Layout, tuple[str, ...]]:
     if first == len(counts) - 1 and counts[first] < wanted and first > 0:
         return _without_last(layout), (_dropped(layout),)
     where, has = f"{layout.name}, line {layout.numbers[first]}", f"{counts[first]} cells"
-    if layout.separator == "," and wanted < counts[first] <= 2 * wanted and "." not in "".join(layout.lines[:20]):
+    is_everywhere = wrong.size > len(counts) / 2
+    if (
+        layout.separator == ","
+        and is_everywhere
+        and wanted < counts[first] <= 2 * wanted
+        and "." not in "".join(layout.lines[:20])
+    ):
         raise InputError(
             "file_format",
             f"{where} has {has} and the header {wanted}: commas seem to be both decimal signs and separators; separate the "
@@ -340,7 +353,10 @@ def _find_decimal_sign(layout: _Layout) -> tuple[str, str | None]:
 
 
 def _read_decimal_commas(cells: Any) -> Any:
-    """Return a column of text as numbers if its cells are numbers or missing, by one of the two decimal signs."""
+    """Return a column of text as numbers if its cells are numbers or missing, by one of the two decimal signs.
+
+    If most are numbers with decimal commas, these get decimal points, so that a refusal names the cells that are no numbers.
+    """
     if cells.dtype.kind in "fiub":
         return cells
     text = cells.astype(str).str.strip()
@@ -349,7 +365,9 @@ def _read_decimal_commas(cells: Any) -> Any:
         values = pd.to_numeric(shown.where(~missing), errors="coerce")
         if bool((values.notna() | missing).all()):
             return values
-    return cells
+    pointed = text.str.replace(",", ".", regex=False)
+    is_number = pd.to_numeric(pointed.where(~missing), errors="coerce").notna()
+    return cells.where(~is_number, pointed) if is_number.sum() > len(text) / 2 else cells
 
 
 def _last_cell_is_cut(layout: _Layout) -> bool:

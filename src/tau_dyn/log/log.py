@@ -212,7 +212,12 @@ class Log(Shown):
             InputError: There is no such column, the ends are of both kinds, or fewer than two samples are left.
         """
         if isinstance(key, slice):
-            return self._take(self._to_samples(key))
+            part = self._to_samples(key)
+            if len(self.t[part]) < 2:
+                runs = f"{self.n_samples} samples from {self.t[0]:.6g} to {self.t[-1]:.6g} s"
+                few = f"this part has {len(self.t[part])} of {runs}; a part needs two or more"
+                raise InputError("too_little_data", f"{self.name}: {few}")
+            return self._take(part)
         if not isinstance(key, str):
             raise InputError(
                 "invalid_value",

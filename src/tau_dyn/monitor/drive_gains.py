@@ -13,11 +13,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import linalg
 
 from tau_dyn.estimate import Estimate, Regression, solve_least_squares
 from tau_dyn.identify import compute_contrast_p_value
 from tau_dyn.parameters import Parameter, Parameters
 
+_ROUNDING = 1e-12
+"""Norm of a column, relative to the largest, below which it is rounding; `estimate/base_parameters.py` has the same bound."""
 _RANK = 1e-7
 """Singular value of unit columns, relative to the largest, below which a combination counts as dependent."""
 _MIN_INFORMATION = 0.01
@@ -91,10 +94,13 @@ def _shift(solved: Estimate, rows: np.ndarray) -> Estimate:
 
 
 def _find_basis(columns: np.ndarray) -> np.ndarray:
-    """Return combinations (p, r) of columns (n, p) that are independent."""
+    """Return combinations (p, r) of columns (n, p) that are independent.
+
+    LAPACK's divide and conquer (`gesdd`) may not converge on triangular factors of many dependent columns; `gesvd` does.
+    """
     norm = np.linalg.norm(columns, axis=0)
-    unit = np.where(norm > 0, norm, np.inf)
-    _, s, Vt = np.linalg.svd(columns / unit, full_matrices=False)
+    unit = np.where(norm > _ROUNDING * norm.max(initial=0.0), norm, np.inf)
+    _, s, Vt = linalg.svd(columns / unit, full_matrices=False, lapack_driver="gesvd")
     return Vt[s > _RANK * s.max(initial=1e-300)].T / unit[:, None]
 
 

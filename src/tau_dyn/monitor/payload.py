@@ -245,6 +245,12 @@ def identify_payload(
         raise told from fault
 
 
+_CURRENTS = (
+    "If the efforts are motor currents [A], as UR robots publish them, give the constant of each joint behind its gear [N m/A] "
+    "in a column map: `tau_J: {column: joint_states.effort.J, scale: CONSTANT}`."
+)
+
+
 class TooLittleTold(CannotAnswer):
     """The logs do not determine a payload's mass."""
 
@@ -269,7 +275,7 @@ def _identify(
     progress("columns")
     data = Data.of(untie_link(model, body), [*without, *with_it], exclude=exclude)
     said = data.warnings()
-    _refuse_wrong_wiring(said)
+    _refuse_wrong_wiring(said, model.robot.actuated)
     built = data.build(data.model)
     for logs in (without, with_it):
         refuse_constant_forces(logs, built.regression, model.robot.driven)
@@ -286,15 +292,23 @@ def _identify(
     return found
 
 
-def _refuse_wrong_wiring(warnings: Sequence[str]) -> None:
-    """Refuse forces of another sign or joint: no payload causes them, but the difference would be reported as a payload.
+def _refuse_wrong_wiring(warnings: Sequence[str], joints: Sequence[str]) -> None:
+    """Refuse forces of another sign, joint or unit: the difference would be reported as a payload, or scale its mass.
+
+    A wrong scale of single joints is compared in `_compare_drives`. If all joints have one, no joint measures the mass.
 
     Raises:
         InputError: A log has other cabling than the robot file.
     """
     for warning in warnings:
-        if isinstance(warning, CodedWarning) and warning.code in ("sign_reversed", "joints_exchanged"):
+        if not isinstance(warning, CodedWarning):
+            continue
+        if warning.code in ("sign_reversed", "joints_exchanged"):
             raise InputError(warning.code, warning)
+        if warning.code == "scale_wrong" and set(warning.joints) >= set(joints):
+            raise InputError(
+                warning.code, f"{warning} The payload's mass would be wrong by the same factor. {_CURRENTS}"
+            )
 
 
 def find_carrying_link(robot: Robot, name: str | None) -> LinkInertia:

@@ -50,6 +50,7 @@ from .formatting import (
     format_limit as format_limit,
     format_list as format_list,
     format_number as format_number,
+    format_p_value as format_p_value,
     format_percent as format_percent,
     format_quantity as format_quantity,
     format_thousands as format_thousands,

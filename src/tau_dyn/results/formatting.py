@@ -18,6 +18,8 @@ from typing import Any, Protocol
 Z95 = 1.959964  # two-sided 95 % point of the normal distribution
 _MAX_STDERR = 1e300
 """A standard error beyond this has no decimals that a float can represent."""
+ROUNDING = 1e-15
+"""Absolute value [SI] below which a number is a rounding error of zero."""
 PREFIXED = ("m", "m/s", "rad", "rad/s", "s")
 """Units that get a prefix if the number is small."""
 
@@ -42,7 +44,8 @@ class Estimated(Protocol):
 
 
 def format_number(value: float, digits: int = 4) -> str:
-    """Return a number with a given number of significant digits and a true minus sign."""
+    """Return a number with a given number of significant digits and a true minus sign; rounding errors of zero are 0."""
+    value = 0.0 if abs(value) < ROUNDING else value
     text = f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:.0f}"
     return replace_minus_signs(text if not _tiny_or_huge(value) else f"{value:.{digits - 1}e}")
 
@@ -50,6 +53,11 @@ def format_number(value: float, digits: int = 4) -> str:
 def format_limit(limit: float, digits: int = 3) -> str:
     """Return a limit as a number, or as `none`."""
     return format_number(limit, digits) if isfinite(limit) else "none"
+
+
+def format_p_value(p_value: float) -> str:
+    """Return a p-value, such as `p = 0.0002`."""
+    return f"p = {p_value:.2g}" if p_value >= 1e-6 else "p < 0.000001"
 
 
 def format_fixed_digits(value: float) -> str:
@@ -137,7 +145,7 @@ def replace_minus_signs(text: str) -> str:
 
 def choose_unit(unit: str, size: float) -> tuple[float, str]:
     """Return the factor and the unit for a readable quantity of this size [unit]."""
-    if unit in PREFIXED and 0 < abs(size) < 0.1:
+    if unit in PREFIXED and ROUNDING <= abs(size) < 0.1:
         return (1e3, f"m{unit}") if abs(size) >= 1e-4 else (1e6, f"µ{unit}")
     return 1.0, "" if unit == "1" else format_unit(unit)
 
@@ -176,8 +184,9 @@ def end_sentence(text: str) -> str:
 
 
 def capitalise(text: str) -> str:
-    """Return a text with a capital first letter if it begins with a word, not a name such as a file's or a channel's."""
-    return text[:1].upper() + text[1:] if text.split(" ", 1)[0].rstrip(",:;").isalpha() else text
+    """Return a text with a capital first letter if it begins with a word, not a name such as a file's or a channel's (`t`)."""
+    word = text.split(" ", 1)[0].rstrip(",:;")
+    return text[:1].upper() + text[1:] if word.isalpha() and (len(word) > 1 or word == "a") else text
 
 
 def replace_plus_minus(text: str) -> str:

@@ -391,7 +391,10 @@ def _describe(robot: Robot, name: str, faults: list[Fault], mend: Mend) -> list[
         sentences[-1] += f" The column map (--columns) that mends this log, tried on it: {', '.join(lines)}."
     elif mend.objection:
         sentences[-1] += f" No column map is advised: {mend.objection}. Check units, joints and signs at their source."
-    return [CodedWarning(fault.reading.code, text) for fault, text in zip(faults, sentences, strict=True)]
+    return [
+        CodedWarning(fault.reading.code, text, [robot.actuated[j] for j in fault.reading.joints])
+        for fault, text in zip(faults, sentences, strict=True)
+    ]
 
 
 def _describe_fault(robot: Robot, name: str, fault: Fault, mend: Mend) -> str:
@@ -403,7 +406,7 @@ def _describe_fault(robot: Robot, name: str, fault: Fault, mend: Mend) -> str:
         "{number}" in reading.words
         and (worst := max((mend.errors.get(x, 0.0) for x in mine), default=0.0)) > MAX_ROUNDED
     ):
-        start += f" The log gives it to {100 * worst:.0f} %, as the bodies of the robot file are uncertain; prefer a data sheet."
+        start += f" Standard errors reach {100 * worst:.0f} %, as the file's bodies are uncertain; prefer a data sheet."
     return f"{start} Evidence: {_describe_evidence(robot, fault)}"
 
 

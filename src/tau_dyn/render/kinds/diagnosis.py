@@ -147,7 +147,7 @@ def _list_evidence(found: Diagnosis, finding: Finding) -> Iterator[r.Element]:
     rows.append(("Gain", words.describe_gain(finding.gain, _get_unit(found, finding))))
     if finding.confirmation:
         rows.append(("Validation", words.describe_confirmation(finding.confirmation).removeprefix("validation: ")))
-    rows.append(("Significance", f"{words.format_p_value(finding.p_value)}, corrected for the number of tests"))
+    rows.append(("Significance", f"{r.format_p_value(finding.p_value)}, corrected for the number of tests"))
     alike = "no other known cause"
     if finding.indistinguishable_from:
         alike = r.format_list(map(words.format_cause_name, finding.indistinguishable_from))
@@ -169,7 +169,7 @@ def _build_open_end(item: Unexplained, k: int) -> r.Chapter:
             ("Depends on", r.format_list(item.depends_on)),
             ("Share", f"{r.format_percent(100 * item.share_of_residual_variance)} of the residual's variance"),
             *([("Suggested formula", item.suggested_formula)] if item.suggested_formula else []),
-            ("Significance", words.format_p_value(item.p_value)),
+            ("Significance", r.format_p_value(item.p_value)),
         ]
         charts = [] if item.signature is None else words.build_signature_figures(item.signature, explained=False)
         yield r.Beside([r.Definitions(rows)], [r.Figures(charts, "pair")] if charts else [], "evidence")
@@ -191,13 +191,21 @@ def _build_time(found: Diagnosis) -> Iterator[r.Element]:
         held="test",
         masked="not used",
     )
-    views = [_build_view(found, trace, k) for trace in found.traces for k in range(len(found.outputs))]
+    shares = np.sum([_sum_squares(trace) for trace in found.traces], axis=0)
+    worst_first = np.argsort(-shares[0] / np.maximum(shares[1], 1e-300), kind="stable")
+    views = [_build_view(found, trace, int(k)) for trace in found.traces for k in worst_first]
     yield r.TimeView("measured and predicted over time, before and after, and the residuals", views, key)
     yield r.explain(
         f"{ZOOM}All curves are filtered by the same low-pass. Good: blue covers grey, and the blue residual is a thin "
         "band without a pattern, in the shaded parts, too. Dark grey sections (reversals, ends of the log) are not "
         "used and may leave the scale."
     )
+
+
+def _sum_squares(trace: TimeTrace) -> np.ndarray:
+    """Return sums of squares (2, n) of the extended model's residual and of the measurement, over the used samples."""
+    left = trace.measured - trace.after
+    return np.array([np.sum(x**2 * trace.usable, axis=0) for x in (left, trace.measured)])
 
 
 def _build_view(found: Diagnosis, trace: TimeTrace, k: int) -> r.View:
@@ -238,9 +246,9 @@ def _build_limits(found: Diagnosis) -> Iterator[r.Element]:
         )
     else:
         yield r.Text("No detection limits were computed.")
-    if found.untestable:
+    if untestable := words.list_untestable(found):
         yield r.Text("Not testable with these logs", "heading")
-        rows = [r.Row([words.format_cause_name(u.cause), u.why, u.experiment]) for u in found.untestable]
+        rows = [r.Row([words.format_cause_name(u.cause), u.why, u.experiment]) for u in untestable]
         yield r.ResultTable([r.Column("cause"), r.Column("why"), r.Column("experiment")], rows, style="plain")
 
 
@@ -281,7 +289,7 @@ def _list_uncertain(found: Diagnosis) -> Iterator[r.Element]:
         if f.indistinguishable_from
     ]
     limits = words.list_limits(found.limits)
-    reasons = words.group_by_reason(found.untestable)
+    reasons = words.group_by_reason(words.list_untestable(found))
     for title, items in (
         ("Confirmed", [_describe_finding(f) for f in found.findings if f.status == "confirmed"]),
         ("Suspected, not confirmed", [_describe_finding(f) for f in found.findings if f.status == "suspected"]),

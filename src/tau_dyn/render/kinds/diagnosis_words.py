@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tau_dyn import results as r
+from tau_dyn.effects import NO_EXPERIMENT
 from tau_dyn.evidence import (
     MAX_OUTPUT_LOSS_PERCENT,
     PRINTED_DIGITS,
@@ -72,7 +73,7 @@ def recommend_model(diagnosis: Diagnosis) -> r.Verdict:
         text = f"Use the extended model: its error on held-out data is {after} of the {what} instead of {before}"
         limit = "" if diagnosis.channel == "position" else f" No output loses more than {MAX_OUTPUT_LOSS_PERCENT:g} %."
         return r.Verdict(level, f"{text}; noise floor: {floor_}.{limit}")
-    if diagnosis.verdict == "named" and any(f.status == "confirmed" for f in diagnosis.findings):
+    if diagnosis.verdict == "named" and has_extension(diagnosis):
         return r.Verdict("care", f"Use the refitted model: {diagnosis.recommendation_why}.")
     if diagnosis.verdict == "cannot_tell":
         return r.Verdict(level, f"Experiment that would separate them: {r.end_sentence(diagnosis.experiment)}")
@@ -91,6 +92,11 @@ def _print_fall(before: OutputErrors, after: OutputErrors) -> tuple[str, str]:
     return one, other
 
 
+def has_extension(diagnosis: Diagnosis) -> bool:
+    """Return whether a cause extends the model; else the extended model is the refitted one."""
+    return any(f.status == "confirmed" for f in diagnosis.findings)
+
+
 def describe_search_band(diagnosis: Diagnosis) -> str:
     """Return a sentence with the errors in the band of the search for causes; empty if all errors use this band."""
     band = diagnosis.search_band
@@ -99,7 +105,7 @@ def describe_search_band(diagnosis: Diagnosis) -> str:
     before, after, floor_ = (
         r.format_percent(e.relative_error_percent) for e in (band.baseline, band.extended, band.noise_floor)
     )
-    more = f", of the extended model {after}" if diagnosis.verdict == "named" else ""
+    more = f", of the extended model {after}" if has_extension(diagnosis) else ""
     return (
         f"These errors are of forces as identify filters them. Causes are searched up to {band.cutoff_hz:.2g} Hz; there "
         f"the residual of the refitted model is {before}{more}, the noise floor {floor_}."
@@ -112,9 +118,7 @@ def describe_all_samples(diagnosis: Diagnosis) -> str:
     if before is None or after is None:
         return ""
     more = (
-        f", of the extended model {r.format_percent(after.relative_error_percent)}"
-        if diagnosis.verdict == "named"
-        else ""
+        f", of the extended model {r.format_percent(after.relative_error_percent)}" if has_extension(diagnosis) else ""
     )
     shares = diagnosis.baseline.used_shares
     each = r.format_list(
@@ -153,11 +157,6 @@ def format_title(finding: Finding) -> str:
 def format_cause_name(cause: str) -> str:
     """Return a cause's name as words."""
     return cause.replace("_", " ")
-
-
-def format_p_value(p_value: float) -> str:
-    """Return a p-value, such as `p = 0.0002`."""
-    return f"p = {p_value:.2g}" if p_value >= 1e-6 else "p < 0.000001"
 
 
 def describe_gain(gain: Gain | None, unit: str = "") -> str:
@@ -199,6 +198,11 @@ def list_limits(limits: Sequence[Limit]) -> list[str]:
         or f"{format_cause_name(limit.cause)} {r.format_quantity(limit.amplitude, limit.unit, 2)}"
         for limit in limits
     ]
+
+
+def list_untestable(diagnosis: Diagnosis) -> list[Untestable]:
+    """Return the causes that other logs would test; those whose part the robot lacks are left out."""
+    return [item for item in diagnosis.untestable if item.experiment != NO_EXPERIMENT]
 
 
 def group_by_reason(items: Sequence[Untestable]) -> list[tuple[str, list[str]]]:

@@ -189,7 +189,7 @@ def _list_per_log(found: Identification) -> list[r.Chapter]:
                    r.Column("", "unit"), r.Column("", style="remark")]  # fmt: skip
         rows = []
         for one in found.per_log:
-            chance = "cannot be compared" if one.p_value is None else f"p = {r.format_number(one.p_value, 2)}"
+            chance = "cannot be compared" if one.p_value is None else r.format_p_value(one.p_value)
             said = f"logs {'differ' if one.differ else 'do not differ'} ({chance})"
             for k, (log, value, stderr) in enumerate(one.values):
                 ends = one.values[k].to_dict()["ci95"]

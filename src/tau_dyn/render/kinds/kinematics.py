@@ -126,11 +126,11 @@ def _headline(table: PoseTable) -> str:
         found = found if asked == 1 or table.complete else f"found, the count is proved for {_proved(table)} of {asked}"
         return f"{modes} assembly mode{'s' * (modes != 1)} of {asked} position{'s' * (asked != 1)}: {found}"
     if rows == 1 and not table.counts:
-        x, y, z = (f"{v:.6g}" for v in table.position[0])
+        x, y, z = (f"{round(v, 9) + 0.0:.6g}" for v in table.position[0])
         return f"The tool {'gets to' if table.inverse else 'is at'} ({x}, {y}, {z}) m"
     if table.configuration.any():
         poses = len(table.counts)
-        x, y, z = (f"{v:.6g}" for v in table.position[0])
+        x, y, z = (f"{round(v, 9) + 0.0:.6g}" for v in table.position[0])
         asked = f"1 pose, ({x}, {y}, {z}) m" if poses == 1 else f"{poses} poses"
         proved = "the count is proved" if table.complete else "found, the count is not proved"
         if poses > 1 and not table.complete:

@@ -31,7 +31,7 @@ def present_payload(found: PayloadEstimate) -> r.Presentation:
         verdict = r.Verdict("care" if missing or found.warnings else "good", f"The mass{told}.")
     else:
         headline = f"No payload shows between empty and loaded logs; one of more than {limit} kg would."
-        verdict = r.Verdict("good", f"A difference as large is chance (p = {r.format_number(found.p_value, 2)}).")
+        verdict = r.Verdict("good", f"A difference as large is chance ({r.format_p_value(found.p_value)}).")
     empty, loaded = (r.format_list(list(names), 3) for names in found.logs)
     return r.Presentation(
         "Payload", found.robot.name, f"{found.robot.name}: payload", headline, verdict,
@@ -92,7 +92,7 @@ def _list_friction(found: PayloadEstimate) -> Iterator[r.Element]:
             f"{r.format_with_uncertainty(p.value, p.stderr) if p.stderr is not None else 'not told'} {r.format_unit(p.unit)}"
             for p in (row.coulomb, row.viscous)
         ]
-        chance = "" if row.p_value is None else r.format_number(row.p_value, 2)
+        chance = "" if row.p_value is None else r.format_p_value(row.p_value)
         rows.append(r.Row([row.joint, *parts, chance, "differs" if row.differs else ""]))
     columns = [
         r.Column("joint"),
