@@ -32,7 +32,12 @@ from .plant_equations import (
     trace_effect_bounds as trace_effect_bounds,
     write_plant_source as write_plant_source,
 )
-from .program import ARGUMENTS as ARGUMENTS, Program as Program, build_program as build_program
+from .program import (
+    ARGUMENTS as ARGUMENTS,
+    Program as Program,
+    TraceableForces as TraceableForces,
+    build_program as build_program,
+)
 from .python_writer import (
     join_names as join_names,
     write_python_source as write_python_source,
