@@ -1,4 +1,4 @@
-"""`tau-dyn actuators`, `learn`, `observe` and `lead-through`."""
+"""`tau-dyn actuators`, `learn` and `observe`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from cyclopts import Group, Parameter
 
 from tau_dyn.cli.arguments import (
     ColumnMapFile,
-    FolderOutput,
     NotNegative,
     Output,
     Positive,
@@ -35,8 +34,6 @@ if TYPE_CHECKING:
 _COLUMNS = Group("Columns, by name")
 _LAW = Group("How an error becomes a correction")
 _FILTER = Group("Filter: one of both")
-_LOOP = Group("Force loop")
-_HANDLE = Group("Handle and hand")
 _AXES = ("x", "y", "z")
 
 
@@ -285,75 +282,3 @@ def observe(
         named={"tool": out},
         found=found,
     )  # fmt: skip
-
-
-def lead_through(
-    log: str | None = None,
-    /,
-    *,
-    stiffness: Annotated[Positive | None, Parameter(metavar="N/m")] = None,
-    force: Annotated[str, Parameter(group=_COLUMNS, metavar="COLUMN")] = "force",
-    position: Annotated[str, Parameter(group=_COLUMNS, metavar="COLUMN")] = "position",
-    columns: ColumnMapFile = None,
-    actuators: Annotated[Path | None, Parameter(group=_LOOP, metavar="ACTUATORS.yaml")] = None,
-    servo: Annotated[Positive | None, Parameter(group=_LOOP, metavar="HZ")] = None,
-    delay: Annotated[Whole | None, Parameter(group=_LOOP, metavar="N")] = None,
-    period: Annotated[Positive, Parameter(group=_LOOP, metavar="S")] = 0.004,
-    gain: Annotated[Positive | None, Parameter(group=_LOOP, metavar="X")] = None,
-    mass: Annotated[Positive, Parameter(group=_HANDLE, metavar="KG")] = 3.0,
-    damping: Annotated[NotNegative, Parameter(group=_HANDLE, metavar="X")] = 40.0,
-    hand: Annotated[Positive, Parameter(group=_HANDLE, metavar="N/m")] = 1000.0,
-    output: FolderOutput = FolderOutput(),
-) -> Outcome:
-    """Largest stable force gain of lead-through, and settings with half of it.
-
-    Args:
-        log: One slow contact with the tool's force and position, from which the contact's stiffness is estimated
-        stiffness: Stiffness of the stiffest contact, instead of LOG
-        force: Force on the tool along the normal [N]
-        position: Position of the tool along the normal [m]
-        actuators: A file of the actuators command, for servo and delay
-        servo: Bandwidth of the drives (default 69, from the thesis)
-        delay: Delay from a force sample to the next command [samples] (default 0)
-        period: Sample period of the controller
-        gain: Gain to check [m/s per N]
-        mass: Mass of the handle
-        damping: Damping of the handle [N s/m]
-        hand: Stiffness of the stiffest hand
-    """
-    import numpy as np
-
-    if (log is None) == (stiffness is None):
-        raise InputError("bad_option", "lead-through takes either a LOG of one touch or --stiffness N/m")
-    with show_progress(output.quiet) as step:
-        step("computing")
-        from tau_dyn.control.iterative import read_actuators
-        from tau_dyn.control.lead_through import ForceLoop, advise_lead_through, fit_contact_stiffness
-        from tau_dyn.log import read_log
-        from tau_dyn.results import Z95
-
-        read, stderr, most = None, None, stiffness
-        if log is not None:
-            read = read_log(log, columns)
-            missing = next((name for name in (force, position) if name not in read.channels), None)
-            if missing is not None:
-                raise InputError(
-                    "missing_column", f"{log}: there is no column {missing}; name it with --force or --position"
-                )
-            value, stderr = fit_contact_stiffness(read.channels[position], read.channels[force])
-            most = value + Z95 * stderr
-        if actuators is not None:
-            axes = read_actuators(actuators)
-            servo = min(a.bandwidth_hz for a in axes) if servo is None else servo
-            delay = int(np.ceil(max(a.delay for a in axes) / period - 1e-6)) if delay is None else delay
-        loop = ForceLoop(period, 69.0 if servo is None else servo, delay or 0)
-        assert most is not None  # one of the two is given
-        found = advise_lead_through(
-            loop, most, mass=mass, damping=damping, force_gain=gain, hand_stiffness=hand, stderr=stderr
-        )
-    return Outcome(
-        result={"settings": to_plain(found.to_rows()), "contact_stiffness_stderr": stderr},
-        warnings=[*(read.warnings if read else ()), *found.warnings],
-        inputs=[*([(log, read.sha256)] if log and read else []), *(p for p in (actuators, columns) if p)],
-        found=found,
-    )

@@ -24,6 +24,10 @@ from .forms import draw_random_states as draw_random_states, find_loops as find_
 from .graph import Graph as Graph, Node as Node, evaluate_graph as evaluate_graph
 from .kinematics import KinematicsProgram as KinematicsProgram, build_kinematics as build_kinematics
 from .kinematics_c import write_kinematics_source as write_kinematics_source
+from .lead_through_c import (
+    LeadThroughNumbers as LeadThroughNumbers,
+    write_lead_through_source as write_lead_through_source,
+)
 from .loops import Loops as Loops
 from .plant_equations import (
     Equations as Equations,
