@@ -47,6 +47,7 @@ from .python_writer import (
     write_python_source as write_python_source,
     yield_assignments as yield_assignments,
 )
+from .ros2_control import write_ros2_control as write_ros2_control
 from .tracing import (
     ExpressionArray as ExpressionArray,
     TracedFunction as TracedFunction,
