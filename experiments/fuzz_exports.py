@@ -2,7 +2,7 @@
 
     python experiments/fuzz_exports.py [--calls 1000000] [--seed 1] [--out docs/results/data/exported_programs.csv]
 
-Feedforward, kinematics, FMU, observers and learning filters in C, with hostile inputs, under the address and
+Feedforward, kinematics, FMU, observers, learning filters and lead-through in C, with hostile inputs, under the address and
 undefined-behaviour sanitizers; the feedforward in Python with a five-hundredth of the calls. Status 0 must come with numbers
 within limits, and positions of `ik` that lead to the pose; an error must leave outputs and state alone. A program that breaks
 a promise ends the run. The table counts statuses: of an FMU, and of Python, 1 is an error. Ten minutes on one core.
@@ -20,6 +20,7 @@ from fuzz_parts.exported_programs import (
     fuzz_filter,
     fuzz_fmu,
     fuzz_kinematics,
+    fuzz_lead_through,
     fuzz_python,
 )
 
@@ -43,6 +44,8 @@ def main(calls: int, seed: int, out: Path) -> None:
     with TemporaryDirectory() as folder:
         for kind in FILTERS:
             keep(kind, "", fuzz_filter(kind, Path(folder), calls, seed))
+        for task in ("surface", "peg"):
+            keep(f"lead-through {task}", "", fuzz_lead_through(task, Path(folder), calls, seed))
         for name, part in ROBOTS.items():
             robot = load_robot(name)
             model = build_model(robot, *CAUSES.get(name, ()))

@@ -6,7 +6,10 @@ the same flags, best of `--repeats` rounds. Pinocchio's headers come with its wh
 /usr/include/eigen3 and in $CONDA_PREFIX (`pip download cmeel-eigen` has them). Without Eigen or a C++ compiler, `pin.rnea` called
 from Python stands in, less the cost of a call that does next to nothing, and the table says so.
 
-Prints a table: robot, ns a call of C, ns a call of rnea, their ratio, largest difference between C and Python.
+`Feedforward(model, compiled=True)` is called from Python at the same states, one a call, best of `--repeats` rounds.
+
+Prints a table: robot, ns a call of C, ns a call of rnea, their ratio, largest difference between C and Python, and us a call of
+the compiled feedforward from Python with its ratio to the bare call of C.
 
     python experiments/benchmarks/feedforward_c.py [--eigen DIR] [--repeats 20] [--seed 0]
 """
@@ -107,15 +110,22 @@ def main(argv: list[str] | None = None) -> None:
     print(
         f"machine: {platform.processor() or platform.machine()}, {_compiler()}, {' '.join(FLAGS)}; Pinocchio {pin.__version__}"
     )
-    print(f"rnea: {how}\n\n{'robot':28s} {'C [ns]':>8s} {'rnea [ns]':>10s} {'C / rnea':>9s} {'difference':>11s}")
-    for name, own, theirs, difference in rows:
-        print(f"{name:28s} {own:8.0f} {theirs:10.0f} {own / theirs:9.2f} {difference:11.1e}")
+    print(
+        f"rnea: {how}\n\n{'robot':28s} {'C [ns]':>8s} {'rnea [ns]':>10s} {'C / rnea':>9s} {'difference':>11s} "
+        f"{'Python [us]':>12s} {'Python / C':>11s}"
+    )
+    for name, own, theirs, difference, python in rows:
+        print(f"{name:28s} {own:8.0f} {theirs:10.0f} {own / theirs:9.2f} {difference:11.1e} {python / 1e3:12.2f} "
+              f"{python / own:11.1f}")  # fmt: skip
 
 
 def measured(
     folder: Path, repeats: int, seed: int, eigen: Path | None
-) -> tuple[list[tuple[str, float, float, float]], str]:
-    """Return name, cost of C, cost of rnea [ns] and largest relative difference of each robot, and how rnea was called."""
+) -> tuple[list[tuple[str, float, float, float, float]], str]:
+    """Return name, cost of C, cost of rnea [ns], largest relative difference and cost from Python [ns] of each robot.
+
+    And how rnea was called.
+    """
     rows, how = [], "C++ from the wheel's headers, over the whole tree"
     for k, (name, arguments) in enumerate(ROBOTS.items()):
         robot = load_robot("linear_axis") if arguments is None else load_robot("gantry_tau", **arguments)
@@ -129,7 +139,7 @@ def measured(
                 _theirs_python(robot, repeats, seed),
                 "from Python, less an empty call (no Eigen or C++ compiler)",
             )
-        rows.append((name, own, theirs, difference))
+        rows.append((name, own, theirs, difference, _from_python(model, repeats, seed)))
     return rows, how
 
 
@@ -160,6 +170,21 @@ def _own(program: Program, folder: Path, repeats: int, seed: int) -> tuple[float
     expected = program.feedforward(q, v, a)
     within = np.all(np.abs(expected) <= model.robot.effort_limit, axis=1)  # beyond it the function keeps the last force
     return float(cost), float(np.abs(arrays[3] - expected)[within].max() / np.abs(expected).max())
+
+
+def _from_python(model: Model, repeats: int, seed: int) -> float:
+    """Return ns a call of the compiled feedforward from Python, one state a call; NaN where it cannot be compiled."""
+    feedforward = Feedforward(model, compiled=True)
+    if feedforward.compiled is None:
+        return float("nan")
+    states = [tuple(np.ascontiguousarray(x) for x in state) for state in zip(*_smooth(model, seed), strict=True)]
+    best = float("inf")
+    for _ in range(repeats):
+        t = time.perf_counter()
+        for state in states:
+            feedforward(*state)
+        best = min(best, (time.perf_counter() - t) / len(states))
+    return 1e9 * best
 
 
 def _smooth(model: Model, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

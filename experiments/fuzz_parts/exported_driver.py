@@ -142,6 +142,7 @@ class Call:
         begin: C that sets the state.
         prepare: C that changes the inputs.
         check: C that adds to `off` what answers with status 0 are wrong by.
+        stops: Whether outputs are zero after an error, as a velocity has to be; otherwise an error leaves them alone.
     """
 
     text: str
@@ -152,6 +153,7 @@ class Call:
     begin: str = ""
     prepare: str = ""
     check: str = ""
+    stops: bool = False
 
 
 def fill_chance(text: str) -> str:
@@ -169,7 +171,7 @@ def count_statuses(
     """
     arrays = [f"    double state[{call.state or 1}] = {{0}}, before[{call.state or 1}];"]
     arrays.append(f"    enum {{ KEPT = {call.state if call.kept is None else call.kept} }};")
-    fill, bounds = [], []
+    fill, bounds, refused = [], [], "0.0" if call.stops else "-7.0"
     for x, given in call.inputs.items():
         n = len(given.near)
         for what in ("near", "low", "high"):
@@ -192,7 +194,7 @@ def count_statuses(
         fill.append(f"        for (int k = 0; k < {n}; ++k) {x}[k] = -7.0;")
         bounds.append(
             f"        for (int k = 0; k < {n}; ++k)\n"
-            f"            if (status ? {x}[k] != -7.0 : !({x}[k] >= {x}_least[k] && {x}[k] <= {x}_most[k])) {{\n"
+            f"            if (status ? {x}[k] != {refused} : !({x}[k] >= {x}_least[k] && {x}[k] <= {x}_most[k])) {{\n"
             f'                printf("call %ld, status %d, {x}[%d] = %g", i, status, k, {x}[k]); return 1;\n            }}'
         )
     text = fill_chance(_DRIVER.replace("@NAME@", name))

@@ -15,6 +15,7 @@ from tau_dyn.codegen import (
     write_c_source,
     write_fmu_source,
     write_kinematics_source,
+    write_lead_through_source,
     write_learning_source,
     write_observer_source,
     write_python_source,
@@ -23,7 +24,10 @@ from tau_dyn.codegen.c_writer import MAX_NUMBER
 from tau_dyn.control import (
     ComplementaryToolObserver,
     Feedforward,
+    ForceSensor,
     KalmanToolObserver,
+    LeadThrough,
+    LeadThroughSettings,
     LearningLaw,
     MotorSide,
     TimeShift,
@@ -212,6 +216,29 @@ def fuzz_filter(kind: str, folder: Path, calls: int, seed: int = 1) -> list[int]
 
 def _spread(near: float, spread: float, n: int) -> Inputs:
     return Inputs(np.full(n, near), spread, np.full(n, near - 1e3), np.full(n, near + 1e3))
+
+
+def fuzz_lead_through(task: str, folder: Path, calls: int, seed: int = 1) -> list[int]:
+    """Return the counts of statuses of a lead-through controller for a task; velocities stay within their limits."""
+    more = {"turning_stiffness": 50.0, "locked_axis": np.array([0.0, 0.0, 1.0]), "press": 0.0} if task == "peg" else {}
+    gain = np.repeat([0.005, 1.0], 3) if task == "peg" else 0.005
+    sensor = ForceSensor(position=np.array([0, 0, -0.1]), mass=1.0, centre=np.array([0, 0, 0.05]))
+    settings = LeadThroughSettings(20e3, force_gain=gain, task=task, tool_sensor=sensor, **more)
+    sources = write_lead_through_source(LeadThrough(settings).list_numbers())
+    reach = np.repeat([60.0, 5.0], 3)
+    inputs = {
+        "handle": Inputs(np.zeros(6), 5.0, -reach, reach),
+        "tool": Inputs(np.zeros(6), 3.0, -reach, reach),
+        "place": Inputs(np.zeros(3), 0.01, -np.ones(3), np.ones(3)),
+        "R": Inputs(np.eye(3).ravel(), 1e-6, np.eye(3).ravel() - 1, np.eye(3).ravel() + 1, rotation=True),
+    }
+    fastest = np.repeat([settings.speed_limit, settings.turning_limit], 3) * (1 + 1e-12)
+    size = int(sources[1].partition("_STATE ")[2].split()[0])
+    call = Call(
+        "lead_step(state, handle, tool, place, R, velocity)", inputs, {"velocity": _allow(fastest)}, size, kept=0,
+        begin="lead_start(state);", stops=True,
+    )  # fmt: skip
+    return count_statuses(sources, "lead", call, folder, calls, seed)
 
 
 _FMU_DRIVER = """

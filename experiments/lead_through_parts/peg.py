@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from lead_through_parts.scene import insert
+from lead_through_parts.scene import BuildLaw, insert
+from tau_dyn.control.lead_through import LeadThrough
 
 CASES = {
     "match (1 N/mm), 4 deg": (1e3, 4.0, {}),
@@ -16,11 +17,11 @@ CASES = {
 }
 
 
-def study(runs: int, seed: int) -> tuple[pd.DataFrame, tuple]:
+def study(runs: int, seed: int, law: BuildLaw = LeadThrough) -> tuple[pd.DataFrame, tuple]:
     """Return a table over runs (the worst of them) and the first insertion: run, depth, tilt."""
     rows, first = [], None
     for name, (stiffness, tilt, options) in CASES.items():
-        made = [insert(stiffness, tilt, seed + k, **options) for k in range(runs)]
+        made = [insert(stiffness, tilt, seed + k, law=law, **options) for k in range(runs)]
         first = first or made[0]
         rows.append(
             {

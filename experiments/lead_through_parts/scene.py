@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from lead_through_parts.contact import ContactRun, ContactSensors, Hand, ServoArm, run_contact
+from lead_through_parts.contact import ContactRun, ContactSensors, Hand, LeadThroughLaw, ServoArm, run_contact
 from lead_through_parts.contact_work import CompliantSurface, Hole
 from tau_dyn.control.lead_through import ForceLoop, LeadThrough, LeadThroughSettings
 from tau_dyn.robot import Robot, load_robot
@@ -30,18 +31,36 @@ def settings(gain: float | np.ndarray, stated: float, **changed) -> LeadThroughS
     return LeadThroughSettings(contact_stiffness=stated, force_gain=gain, **{**plain, **changed})
 
 
-def track(given: LeadThroughSettings, stiffness: float, seed: int, *, moves: bool = True, noise=NOISE) -> ContactRun:
+BuildLaw = Callable[[LeadThroughSettings], LeadThroughLaw]
+"""A controller of settings: `LeadThrough`, or its exported C."""
+
+
+def track(
+    given: LeadThroughSettings,
+    stiffness: float,
+    seed: int,
+    *,
+    moves: bool = True,
+    noise=NOISE,
+    law: BuildLaw = LeadThrough,
+) -> ContactRun:
     """Return 7 s on a level surface: approach in 1.5 s, rest to 2 s, then 100 mm along x and 50 mm along y."""
     arm = ServoArm(robot(), START, servo_hz=SERVO_HZ)
     surface = CompliantSurface(arm.pose.position - 0.02 * UP, UP, stiffness, friction=FRICTION)
     end = np.array([0.1, 0.05, 0.0]) if moves else np.zeros(3)
     down = -0.021 * UP  # the operator sees 1 mm of cardboard give way: 2 N
     hand = Hand([0, 1.5, 2, 7], np.array([0 * UP, down, down, down + end]), wander=0.0015, tremor=1e-4)
-    return run_contact(arm, LeadThrough(given), surface, hand, 7.0, sensors=noise, seed=seed)
+    return run_contact(arm, law(given), surface, hand, 7.0, sensors=noise, seed=seed)
 
 
 def insert(
-    side_stiffness: float, tilt_deg: float, seed: int, *, tool_force: bool = True, clearance: float = 0.001
+    side_stiffness: float,
+    tilt_deg: float,
+    seed: int,
+    *,
+    tool_force: bool = True,
+    clearance: float = 0.001,
+    law: BuildLaw = LeadThrough,
 ) -> tuple[ContactRun, np.ndarray, np.ndarray]:
     """Return a run with a peg, how deep it was and how far off the hole's axis [rad], both (N,).
 
@@ -53,11 +72,12 @@ def insert(
     tilt = np.radians(tilt_deg)
     axis = np.sin(tilt) * lean + np.cos(tilt) * UP
     hole = Hole(arm.pose.position - 0.105 * UP, axis, clearance=clearance, side_stiffness=side_stiffness)
-    law = LeadThrough(peg_settings(tool_force))
     aim = 0.0004 * miss
     points = np.array([0 * UP, aim - 0.008 * UP, aim - 0.045 * UP])
     hand = Hand([0, 1.5, 8], points, wander=0.0002, tremor=1e-4)
-    run = run_contact(arm, law, hole, hand, 10.0, sensors=ContactSensors(0.03, 0.002), seed=seed)
+    run = run_contact(
+        arm, law(peg_settings(tool_force)), hole, hand, 10.0, sensors=ContactSensors(0.03, 0.002), seed=seed
+    )
     deep = np.array([hole.inserted(*at) for at in zip(run.position, run.rotation, strict=True)])
     return run, deep, np.array([hole.tilt(turn) for turn in run.rotation])
 

@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 
 from lead_through_parts.contact import ContactRun, ContactSensors
-from lead_through_parts.scene import CARDBOARD, PLATE, SERVO_HZ, settings, track
-from tau_dyn.control.lead_through import ForceLoop
+from lead_through_parts.scene import CARDBOARD, PLATE, SERVO_HZ, BuildLaw, settings, track
+from tau_dyn.control.lead_through import ForceLoop, LeadThrough
 
 GAIN = 0.0128  # 93 % of the plate's limit, 4 % of cardboard's
 HALF = 0.5 * ForceLoop(servo_hz=SERVO_HZ).limit(PLATE).gain
@@ -39,11 +39,11 @@ def cases() -> dict[str, tuple]:
     }
 
 
-def study(runs: int, seed: int) -> tuple[pd.DataFrame, dict[str, ContactRun]]:
+def study(runs: int, seed: int, law: BuildLaw = LeadThrough) -> tuple[pd.DataFrame, dict[str, ContactRun]]:
     """Return a table of means over runs, and the first run of each case."""
     rows, first = [], {}
     for name, (given, stiffness, options) in cases().items():
-        made = [track(given, stiffness, seed + k, **options) for k in range(runs)]
+        made = [track(given, stiffness, seed + k, law=law, **options) for k in range(runs)]
         first[name] = made[0]
         rows.append({"case": name} | pd.DataFrame([measures(run) for run in made]).mean().to_dict())
     return pd.DataFrame(rows), first

@@ -164,6 +164,7 @@ WARNING_CODES: dict[str, MessageCode] = {
     "prediction_missed": MessageCode(
         "a trial of `learn` ended above its predicted interval", "the sentence names the change"
     ),
+    "path_deviates": MessageCode("a RAPID program leaves its motion", "move slower, or send a reference"),
     "poses_reread": MessageCode(
         "a pose file follows another convention than documented: sign, zero, order, unit, orientation or rows",
         "correct the file, or a column map (`--columns`); the answer uses the reading that is named",
@@ -298,7 +299,7 @@ WARNING_CODES: dict[str, MessageCode] = {
         "give each recording once; hold out a recording of its own",
     ),
     "poor_fit": MessageCode(
-        "over a fifth of a joint's force is neither fitted nor noise",
+        "over a fifth of a joint's force or position is neither fitted nor noise",
         "`check` and `diagnose`; sign, unit and order of columns",
     ),
     "repeated_samples": MessageCode("samples are repeated or stale", "log each sample once; they are left out"),

@@ -242,3 +242,19 @@ def test_lead_through_knows_its_limit(folder, tmp_path, capsys) -> None:
     assert found["force_gain"] == pytest.approx(found["force_gain_limit"] / 2)
     assert main([*command, "--actuators", str(folder / "a.yaml"), "--gain", "1"]) == 2
     assert "oscillates" in capsys.readouterr().err
+
+
+def test_a_poor_fit_of_an_actuator_carries_a_code(tmp_path) -> None:
+    """A drive that swings at 3 Hz is no first-order system: its model is written, with the warning `poor_fit` and its name."""
+    t = np.arange(2000) * DT
+    command = 0.01 * (np.sin(2 * np.pi * 0.4 * t) > 0)
+    q, x = np.empty(len(t)), np.zeros(2)
+    A, B = spring(2 * np.pi * 3.0)
+    for k, u in enumerate(command):
+        q[k] = x[0]
+        x = A @ x + B * u
+    pd.DataFrame({"t": t, "q_ref_axis": command, "q_axis": q}).to_csv(tmp_path / "s.csv", index=False)
+    assert main(["actuators", str(tmp_path / "s.csv"), "--json", str(tmp_path / "r.json"), "--quiet"]) == 0
+    result = json.loads((tmp_path / "r.json").read_text())
+    assert result["axes"][0]["fit_percent"] < 80
+    assert result["warning_codes"] == ["poor_fit"] and result["warning_joints"] == {"poor_fit": ["axis"]}

@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import yaml
 from tests.log.recordings import write_bag
@@ -307,3 +308,17 @@ def test_a_robot_with_springs_has_modes_to_shape_for(tmp_path, monkeypatch) -> N
     found = json.loads(Path("r.json").read_text())
     assert found["modes"][0]["residual_at_estimate"] == pytest.approx(0.05, abs=5e-3)
     assert any("no standard errors" in w for w in found["warnings"])
+
+
+def test_a_program_that_leaves_its_motion_carries_a_code(tmp_path) -> None:
+    """Moves of 0.1 s cut a swing of 12.5 Hz: RAPID is written with the warning `path_deviates` and the size in the result."""
+    robot = load_robot("gantry_tau")
+    t = np.arange(0, 1, 0.004)[:, None]
+    q = robot.home + 1e-3 * np.sin(2 * np.pi * 12.5 * t) * np.sin(np.pi * t) ** 2
+    columns = {"t": t[:, 0]} | {f"q_ref_{j}": q[:, k] for k, j in enumerate(robot.actuated)}
+    pd.DataFrame(columns).to_csv(tmp_path / "fast.csv", index=False)
+    words = ["export", "gantry_tau", "--to", "rapid", "--motion", str(tmp_path / "fast.csv"), "--acceleration", "20"]
+    out, result = tmp_path / "m.mod", tmp_path / "r.json"
+    assert main([*words, "--force", "1e5", "--out", str(out), "--json", str(result)]) == 0
+    found = json.loads(result.read_text())
+    assert found["deviation"] > 1e-4 and "path_deviates" in found["warning_codes"]

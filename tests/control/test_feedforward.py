@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -234,3 +236,43 @@ def test_rods_that_do_not_turn_take_no_passive_friction(shape: str) -> None:
     straight = at(model, np.full((3, 3), 0.2))
     plain = Feedforward(model.only(model.effects[:1]), shape=shape)(*straight)
     assert_allclose(Feedforward(model, shape=shape)(*straight), plain, atol=1e-6)
+
+
+@pytest.mark.parametrize("shape", ["ramp", "tanh"])
+def test_compiled_code_is_the_law_for_single_states(model, shape: str, rng) -> None:
+    """One state a call is computed by compiled code, arrays and states that it refuses by Python; all are one law."""
+    fast, plain = (
+        Feedforward(model, width=0.02, shape=shape, compiled=True),
+        Feedforward(model, width=0.02, shape=shape),
+    )
+    if fast.compiled is None:
+        pytest.skip("there is no C compiler here")
+    q = model.robot.home + rng.uniform(-0.05, 0.05, (20, 3))
+    v, a = rng.uniform(-0.05, 0.05, (20, 3)), rng.uniform(-2, 2, (20, 3))
+    expected = plain(q, v, a)
+    for k in range(20):
+        found = fast.compiled(q[k], v[k], a[k])
+        assert found is not None
+        assert_allclose(found, expected[k], rtol=1e-11)
+        assert_allclose(fast(q[k], v[k], a[k]), found, rtol=0, atol=0)
+    assert_allclose(fast(q, v, a), expected, rtol=0, atol=0)
+    hard = np.full(3, 1e4)  # beyond every drive's force, which a model still has
+    assert np.abs(fast(q[0], v[0], hard)).max() > model.robot.effort_limit.max()
+    assert_allclose(fast(q[0], v[0], hard), plain(q[0], v[0], hard), rtol=1e-11)
+    apart = model.robot.home + np.array([0.0, 3.0, -3.0])
+    assert fast.compiled(apart, v[0], a[0]) is None
+    with raises_code("loop_not_closed"):
+        fast(apart, v[0], a[0])
+    with raises_code("wrong_shape"):
+        fast(q[0][:1], v[0][:1], a[0][:1])
+
+
+def test_a_law_that_is_not_compiled_tells_why_and_answers(model, monkeypatch) -> None:
+    """Without a compiler the same forces come from Python, with a warning; a pickled law is compiled again."""
+    state = (model.robot.home, np.full(3, 0.01), np.ones(3))
+    fast = pickle.loads(pickle.dumps(Feedforward(model, compiled=True)))
+    assert_allclose(fast(*state), Feedforward(model)(*state), rtol=1e-11)
+    monkeypatch.setenv("TAU_DYN_COMPILE", "0")
+    slow = Feedforward(model, compiled=True)
+    assert slow.compiled is None and "not compiled" in slow.warnings[-1]
+    assert_allclose(slow(*state), Feedforward(model)(*state), rtol=0, atol=0)

@@ -1,4 +1,4 @@
-"""`tau-dyn actuators`, `learn`, `observe` and `lead-through`."""
+"""`tau-dyn actuators`, `learn` and `observe`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from cyclopts import Group, Parameter
 
 from tau_dyn.cli.arguments import (
     ColumnMapFile,
-    FolderOutput,
     NotNegative,
     Output,
     Positive,
@@ -34,9 +33,8 @@ if TYPE_CHECKING:
 
 _COLUMNS = Group("Columns, by name")
 _LAW = Group("How an error becomes a correction")
+_TOOL = Group("Learning the tool")
 _FILTER = Group("Filter: one of both")
-_LOOP = Group("Force loop")
-_HANDLE = Group("Handle and hand")
 _AXES = ("x", "y", "z")
 
 
@@ -89,7 +87,11 @@ def learn(
     lead: Annotated[NotNegative | None, Parameter(group=_LAW, metavar="S")] = None,
     not_monotone: Annotated[bool, Parameter(group=_LAW)] = False,
     largest_correction: Annotated[Positive | None, Parameter(group=_LAW, metavar="X")] = None,
+    robot: Annotated[str | None, Parameter(group=_TOOL, metavar="ROBOT")] = None,
+    measured: Annotated[Strings, Parameter(group=_TOOL, metavar="COLUMN")] = (),
+    observed: Annotated[Strings, Parameter(group=_TOOL, metavar="FILE")] = (),
     out: Annotated[Path, build_destination("CORRECTION.csv", "Write the next correction here", csv=True)],
+    robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
 ) -> Outcome:
     """The next correction of a repeated motion from its trials, each compared with its prediction.
@@ -106,35 +108,53 @@ def learn(
         lead: Fading in and out [s] (default: a tenth of the motion)
         not_monotone: Allow convergence that is not monotone
         largest_correction: Refuse a larger one [m or rad] (default: the size of the motion)
+        robot: Learn the tool of this robot instead of its drives
+        measured: Tool position along x, y, z in the trials (default: x_tool, y_tool, z_tool as far as they are there)
+        observed: Results of observe instead, one a trial
     """
     import numpy as np
 
     if trial is None and (not history or correction is not None):
         raise InputError("bad_option", "learn takes a TRIAL, --history FILE..., or both; --correction belongs to TRIAL")
+    if robot is None and (measured or observed):
+        raise InputError("bad_option", "--measured and --observed are positions of a tool; name its robot with --robot")
     with show_progress(output.quiet) as step:
         step("loading")
         from tau_dyn.control.interface import Correction, compute_digest, format_correction_text
-        from tau_dyn.control.iterative import LearningOptions, compute_learning_step, read_actuators
+        from tau_dyn.control.iterative import LearningOptions, ToolAxes, compute_learning_step, read_actuators
         from tau_dyn.simulate import Trajectory
 
         joints = _list_joints(reference)
         motion = Trajectory.from_csv(str(reference), joints)
         dt = motion.duration / (motion.n_samples - 1)
-        allowed = float(np.ptp(motion.q, axis=0).max()) if largest_correction is None else largest_correction
-        logs = [_read_trial(path, columns, motion, joints, dt) for path in (*history, *([trial] if trial else ()))]
+        logs = [_read_trial(path, columns, motion, dt) for path in (*history, *([trial] if trial else ()))]
         told = [log.joint("q_ref", joints)[: motion.n_samples] for log in logs[: len(history)]]
         if trial is not None:
             told.append(_read_command(logs[-1], bool(history), correction, motion, joints, dt))
+        names, wanted, stderr, tool, shown = joints, motion.q, None, None, logs
+        if robot is None:
+            seen = [_read_positions(log, joints, motion.n_samples) for log in logs]
+        else:
+            shown = [_read_trial(path, None, motion, dt) for path in observed] or logs
+            if len(shown) != len(logs):
+                raise InputError("bad_option", f"--observed takes one file a trial: {len(logs)}, not {len(shown)}")
+            tool = ToolAxes.find(robot_options.load(robot), measured, shown[0])
+            tool.require_joints(joints, motion.name)
+            names, stderr = tool.names, tool.read_stderr(shown[-1])
+            seen = [tool.read(log, motion.n_samples) for log in shown]
+            wanted, *told = (tool.compute_positions(q) for q in (motion.q, *told))
+        allowed = float(np.ptp(wanted, axis=0).max()) if largest_correction is None else largest_correction
         for log, command in zip(logs, told, strict=True):
-            _require_small(float(np.abs(command - motion.q).max()), allowed, f"{log.name}: its correction")
+            _require_small(float(np.abs(command - wanted).max()), allowed, f"{log.name}: its correction")
         step("checking convergence")
         found = compute_learning_step(
-            joints, dt, motion.q, told, [log.joint("q", joints)[: motion.n_samples] for log in logs],
-            None if actuators is None else read_actuators(actuators, joints),
+            names, dt, wanted, told, seen, None if actuators is None else read_actuators(actuators, names),
             LearningOptions(gain, shift, cutoff, lead, not not_monotone),
         )  # fmt: skip
         _require_small(float(np.abs(found.correction).max()), allowed, "the next correction")
-    text = format_correction_text(Correction(joints, dt, found.correction, compute_digest(motion)))
+        sent = found.correction if tool is None else tool.invert(motion.q, found.correction)
+        unseen = [] if tool is None else tool.describe_unseen(found, stderr)
+    text = format_correction_text(Correction(joints, dt, sent, compute_digest(motion)))
     checked = found.convergence
     return Outcome(
         result={
@@ -148,10 +168,11 @@ def learn(
             "frequencies": to_plain(found.to_frequency_rows()),
             "out": str(out),
         },
-        warnings=[*(w for log in logs for w in log.warnings), *found.warnings],
+        warnings=[*(w for log in logs for w in log.warnings), *found.warnings, *unseen],
         inputs=[
             reference, *((path, log.sha256) for path, log in zip((*history, trial), logs, strict=False) if path),
-            *(p for p in (actuators, correction, columns) if p),
+            *((path, log.sha256) for path, log in zip(observed, shown, strict=False)),
+            *(p for p in (actuators, correction, columns) if p), *(robot_options.list_files(robot) if robot else []),
         ],
         files={out: text},
         named={"correction": out},
@@ -159,11 +180,11 @@ def learn(
     )  # fmt: skip
 
 
-def _read_trial(path: str, columns: Path | None, motion: Trajectory, joints: Sequence[str], dt: float) -> Log:
+def _read_trial(path: str, columns: Path | None, motion: Trajectory, dt: float) -> Log:
     """Return a trial's log.
 
     Raises:
-        InputError: Its sample times differ from the reference's, or it is shorter.
+        InputError: Its sample times differ from the reference's.
     """
     from tau_dyn.log import read_log
 
@@ -174,10 +195,19 @@ def _read_trial(path: str, columns: Path | None, motion: Trajectory, joints: Seq
             f"{path}: it has a sample every {1e3 * log.dt:.6g} ms, {motion.name} one every {1e3 * dt:.6g} ms; log the trial "
             "at the controller's period",
         )
-    n = len(log.joint("q", joints))
-    if n < motion.n_samples:
-        raise InputError("mismatch", f"{path}: it has {n} samples, {motion.name} has {motion.n_samples}")
     return log
+
+
+def _read_positions(log: Log, joints: Sequence[str], n: int) -> np.ndarray:
+    """Return the drives' positions (n, m) of a trial.
+
+    Raises:
+        InputError: The log is shorter than the motion.
+    """
+    found = log.joint("q", joints)
+    if len(found) < n:
+        raise InputError("mismatch", f"{log.name}: it has {len(found)} samples, the motion has {n}")
+    return found[:n]
 
 
 def _read_command(
@@ -285,75 +315,3 @@ def observe(
         named={"tool": out},
         found=found,
     )  # fmt: skip
-
-
-def lead_through(
-    log: str | None = None,
-    /,
-    *,
-    stiffness: Annotated[Positive | None, Parameter(metavar="N/m")] = None,
-    force: Annotated[str, Parameter(group=_COLUMNS, metavar="COLUMN")] = "force",
-    position: Annotated[str, Parameter(group=_COLUMNS, metavar="COLUMN")] = "position",
-    columns: ColumnMapFile = None,
-    actuators: Annotated[Path | None, Parameter(group=_LOOP, metavar="ACTUATORS.yaml")] = None,
-    servo: Annotated[Positive | None, Parameter(group=_LOOP, metavar="HZ")] = None,
-    delay: Annotated[Whole | None, Parameter(group=_LOOP, metavar="N")] = None,
-    period: Annotated[Positive, Parameter(group=_LOOP, metavar="S")] = 0.004,
-    gain: Annotated[Positive | None, Parameter(group=_LOOP, metavar="X")] = None,
-    mass: Annotated[Positive, Parameter(group=_HANDLE, metavar="KG")] = 3.0,
-    damping: Annotated[NotNegative, Parameter(group=_HANDLE, metavar="X")] = 40.0,
-    hand: Annotated[Positive, Parameter(group=_HANDLE, metavar="N/m")] = 1000.0,
-    output: FolderOutput = FolderOutput(),
-) -> Outcome:
-    """Largest stable force gain of lead-through, and settings with half of it.
-
-    Args:
-        log: One slow contact with the tool's force and position, from which the contact's stiffness is estimated
-        stiffness: Stiffness of the stiffest contact, instead of LOG
-        force: Force on the tool along the normal [N]
-        position: Position of the tool along the normal [m]
-        actuators: A file of the actuators command, for servo and delay
-        servo: Bandwidth of the drives (default 69, from the thesis)
-        delay: Delay from a force sample to the next command [samples] (default 0)
-        period: Sample period of the controller
-        gain: Gain to check [m/s per N]
-        mass: Mass of the handle
-        damping: Damping of the handle [N s/m]
-        hand: Stiffness of the stiffest hand
-    """
-    import numpy as np
-
-    if (log is None) == (stiffness is None):
-        raise InputError("bad_option", "lead-through takes either a LOG of one touch or --stiffness N/m")
-    with show_progress(output.quiet) as step:
-        step("computing")
-        from tau_dyn.control.iterative import read_actuators
-        from tau_dyn.control.lead_through import ForceLoop, advise_lead_through, fit_contact_stiffness
-        from tau_dyn.log import read_log
-        from tau_dyn.results import Z95
-
-        read, stderr, most = None, None, stiffness
-        if log is not None:
-            read = read_log(log, columns)
-            missing = next((name for name in (force, position) if name not in read.channels), None)
-            if missing is not None:
-                raise InputError(
-                    "missing_column", f"{log}: there is no column {missing}; name it with --force or --position"
-                )
-            value, stderr = fit_contact_stiffness(read.channels[position], read.channels[force])
-            most = value + Z95 * stderr
-        if actuators is not None:
-            axes = read_actuators(actuators)
-            servo = min(a.bandwidth_hz for a in axes) if servo is None else servo
-            delay = int(np.ceil(max(a.delay for a in axes) / period - 1e-6)) if delay is None else delay
-        loop = ForceLoop(period, 69.0 if servo is None else servo, delay or 0)
-        assert most is not None  # one of the two is given
-        found = advise_lead_through(
-            loop, most, mass=mass, damping=damping, force_gain=gain, hand_stiffness=hand, stderr=stderr
-        )
-    return Outcome(
-        result={"settings": to_plain(found.to_rows()), "contact_stiffness_stderr": stderr},
-        warnings=[*(read.warnings if read else ()), *found.warnings],
-        inputs=[*([(log, read.sha256)] if log and read else []), *(p for p in (actuators, columns) if p)],
-        found=found,
-    )

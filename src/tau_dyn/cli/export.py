@@ -15,6 +15,7 @@ from tau_dyn.cli.execute import Outcome
 from tau_dyn.cli.export_filters import FilterOptions, write_filter
 from tau_dyn.cli.progress import show_progress
 from tau_dyn.exceptions import InputError
+from tau_dyn.message_codes import CodedWarning
 
 _CODE = Group("--to c, shaper, notch")
 _DRIVES = Group("--to mjlab, isaaclab")
@@ -345,11 +346,12 @@ def _make_rapid(request: _Request) -> Made:
     move = "MoveAbsJ" if by == "joints" else "MoveL"
     said = f"{motion.duration:.4g} s by {len(found.index)} places of {move} -> {request.out}"
     result = {"duration": motion.duration, "by": by, "places": len(found.index), "deviation": found.deviation}
-    loose = (
+    loose = CodedWarning(
+        "path_deviates",
         f"straight moves of 0.1 s or more leave the motion by up to {found.deviation:.2g} m or rad, more than the tolerance of "
         f"{tolerance:g}; move slower, or send a reference file",
     )
-    return Made({request.out: text}, said, result, (*motion.notes, *(loose if found.deviation > tolerance else ())))
+    return Made({request.out: text}, said, result, (*motion.notes, *([loose] if found.deviation > tolerance else [])))
 
 
 def _make_filter(request: _Request) -> Made:
@@ -399,23 +401,26 @@ FORMATS: dict[str, Format] = {
 }
 """Choices of --to; a new format needs a line here and a word in the signature of `export`."""
 
-_ENDINGS = {"c": ".c", "python": ".py"}
+_ENDINGS = {"c": ".c", "python": ".py", "ros2_control": ".yaml"}
 
 
 def export_feedforward(
     model: Annotated[Path, Parameter(name="MODEL.yaml|ROBOT")],
     /,
     *,
-    to: Literal["c", "python"],
-    out: Annotated[Path, args.build_destination("FILE", "FILE.c (and FILE.h) or FILE.py")],
+    to: Literal["c", "python", "ros2_control"],
+    out: Annotated[
+        Path, args.build_destination("FILE", "FILE.c (and FILE.h), FILE.py or FILE.yaml (and .c, .h, .hpp)")
+    ],
     name: Annotated[str, Parameter(metavar="NAME")] = "tau_ff",
     width: Annotated[args.Positives, Parameter(metavar="V")] = (0.01,),
     shape: Literal["ramp", "tanh"] = "ramp",
     steady: bool = False,
+    plugin: Annotated[str, Parameter(metavar="TYPE")] = "tau_ff_controllers/FeedforwardController",
     robot_options: args.RobotOptions = args.RobotOptions(),
     output: args.Output = args.Output(),
 ) -> Outcome:
-    """A model's feedforward tau_ff(q, v, a) as code for a controller: dependency-free C, or Python that needs only NumPy.
+    """A model's feedforward tau_ff(q, v, a) as code for a controller: dependency-free C, Python, or for ros2_control.
 
     Args:
         model: A model file of identify or diagnose, or a robot, exported as its nominal rigid body
@@ -424,6 +429,7 @@ def export_feedforward(
         width: Speed within which the sign of friction is smoothed, one or one per joint [m/s or rad/s]
         shape: Shape of the smoothed sign
         steady: Leave out effects that need a history, and list them
+        plugin: ros2_control: type of the controller that includes FILE.hpp
     """
     import numpy as np
 
@@ -439,6 +445,7 @@ def export_feedforward(
             locate_header,
             write_c_source,
             write_python_source,
+            write_ros2_control,
         )
         from tau_dyn.control import Feedforward
         from tau_dyn.effects import acts_on_recording
@@ -452,6 +459,8 @@ def export_feedforward(
             header = locate_header(out)
             source, declared = write_c_source(program, name)
             files: dict[Path, Any] = {out: include_header(source, name, header), header: declared}
+        elif to == "ros2_control":
+            files = {**write_ros2_control(program, name, out, plugin)}
         else:
             files = {out: write_python_source(program, name)}
     size = len(program.graph.needed(program.outputs))

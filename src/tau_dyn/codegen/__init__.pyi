@@ -24,6 +24,10 @@ from .forms import draw_random_states as draw_random_states, find_loops as find_
 from .graph import Graph as Graph, Node as Node, evaluate_graph as evaluate_graph
 from .kinematics import KinematicsProgram as KinematicsProgram, build_kinematics as build_kinematics
 from .kinematics_c import write_kinematics_source as write_kinematics_source
+from .lead_through_c import (
+    LeadThroughNumbers as LeadThroughNumbers,
+    write_lead_through_source as write_lead_through_source,
+)
 from .loops import Loops as Loops
 from .plant_equations import (
     Equations as Equations,
@@ -32,12 +36,18 @@ from .plant_equations import (
     trace_effect_bounds as trace_effect_bounds,
     write_plant_source as write_plant_source,
 )
-from .program import ARGUMENTS as ARGUMENTS, Program as Program, build_program as build_program
+from .program import (
+    ARGUMENTS as ARGUMENTS,
+    Program as Program,
+    TraceableForces as TraceableForces,
+    build_program as build_program,
+)
 from .python_writer import (
     join_names as join_names,
     write_python_source as write_python_source,
     yield_assignments as yield_assignments,
 )
+from .ros2_control import write_ros2_control as write_ros2_control
 from .tracing import (
     ExpressionArray as ExpressionArray,
     TracedFunction as TracedFunction,

@@ -48,12 +48,13 @@ _TAKEN = frozenset(
 """Functions and tables of the source itself."""
 
 
-def write_c_source(program: Program, name: str = "tau_ff") -> tuple[str, str]:
+def write_c_source(program: Program, name: str = "tau_ff", *, limited: bool = True) -> tuple[str, str]:
     """Return a feedforward as C: the source and its header.
 
     Args:
         program: From `build_program`.
         name: Name of the function and of the header, `name.h`.
+        limited: Refuse forces beyond the joints' limits.
 
     Raises:
         InputError: The name is no identifier of C, or means something else there.
@@ -61,7 +62,10 @@ def write_c_source(program: Program, name: str = "tau_ff") -> tuple[str, str]:
     require_c_name(name, _TAKEN)
     words = list(yield_description(program))
     header = format_header(name, [*words, "", *_list_statuses(program)], _list_declarations(program, name))
-    return format_source(name, words[0], _yield_parts(program, name)), header
+    effort = (
+        program.feedforward.model.robot.effort_limit if limited else np.full_like(program.feedforward.width, MAX_NUMBER)
+    )
+    return format_source(name, words[0], _yield_parts(program, name, effort)), header
 
 
 def _list_statuses(program: Program) -> list[str]:
@@ -105,13 +109,13 @@ def _list_declarations(program: Program, name: str) -> list[str]:
     return [*lines, f"{_format_signature(program, name)};"]
 
 
-def _yield_parts(program: Program, name: str) -> Iterator[str]:
+def _yield_parts(program: Program, name: str, effort: np.ndarray) -> Iterator[str]:
     robot = program.feedforward.model.robot
     yield f"enum {{ NA = {robot.na} }};"
     yield fill_template("checks")
     if program.loops is not None and program.closure is not None:
         yield from yield_closing_parts(program.loops, program.closure, name)
-    yield f"static const double limit[NA] = {{{list_numbers(np.minimum(robot.effort_limit, MAX_NUMBER))}}};"
+    yield f"static const double limit[NA] = {{{list_numbers(np.minimum(effort, MAX_NUMBER))}}};"
     yield "\n".join(_yield_body(program, name))
 
 

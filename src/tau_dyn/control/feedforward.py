@@ -10,6 +10,9 @@ The force is in the drive's own scale, as logs hold it: a `drive_gain` enters, s
 `(1 + gain_error) tau` for the force tau needs that value as its command. (If the logged force comes from a separate force
 sensor and the sensor has the gain error, leave the effect out of the model.) Effects that a single state does not determine
 are left out and named once, in `warnings`.
+
+With `compiled=True` a single state is computed by compiled code (`compiled_feedforward.py`), where there is a C compiler: the
+same force to rounding, in a few microseconds. Arrays of states, and states that the code refuses, are computed in Python.
 """
 
 from __future__ import annotations
@@ -17,12 +20,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tau_dyn.effects import Effect, Motion, describe_missing_state
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.model import BY_STATE, Model
+
+if TYPE_CHECKING:
+    from tau_dyn.control.compiled_feedforward import CompiledFeedforward
 
 SHAPES = ("ramp", "tanh")
 
@@ -35,7 +42,8 @@ class Feedforward:
         width: Speed over which the sign changes, one per joint (na,) [m/s or rad/s].
         shape: 'ramp' or 'tanh'.
         left_out: Effects that a single state does not determine; a call with their input signals includes them.
-        warnings: A sentence for each effect that is left out.
+        compiled: Compiled code for single states, or None.
+        warnings: A sentence for each effect that is left out, and one if the code that was asked for cannot be compiled.
 
     Example:
         >>> feedforward = td.Feedforward(td.Model.of(td.load_robot("linear_axis")))
@@ -43,13 +51,16 @@ class Feedforward:
         array([95.])
     """
 
-    def __init__(self, model: Model, *, width: float | np.ndarray = 0.01, shape: str = "ramp") -> None:
+    def __init__(
+        self, model: Model, *, width: float | np.ndarray = 0.01, shape: str = "ramp", compiled: bool = False
+    ) -> None:
         """Prepare a model for use.
 
         Args:
             model: The identified model.
             width: Half-width of the transition around zero velocity [m/s or rad/s]: a number or one per joint (na,).
             shape: 'ramp' (piecewise linear) or 'tanh'.
+            compiled: Compile the law for single states; takes seconds once, and a library is kept for the next time.
 
         Raises:
             UnknownName: The shape is neither.
@@ -73,15 +84,40 @@ class Feedforward:
         self.left_out: tuple[Effect, ...] = tuple(effect for effect, reason in why.items() if reason)
         self.warnings: tuple[str, ...] = tuple(f"the feedforward leaves out {e.name}: {why[e]}" for e in self.left_out)
         self._parts = {frozenset(): self._sorted(frozenset())}
+        self.compiled: CompiledFeedforward | None = None
+        if compiled:
+            self._compile()
+
+    def _compile(self) -> None:
+        """Compile the law without the effects that are left out, or add a warning with the reason."""
+        from tau_dyn.control.compiled_feedforward import CompiledFeedforward
+
+        try:
+            self.compiled = CompiledFeedforward.build(self.with_model(self.model.steady()))
+        except InputError as fault:
+            self.warnings = (*self.warnings, f"the feedforward is not compiled: {fault}")
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state for pickling; compiled code is built again where it is loaded."""
+        return {**self.__dict__, "compiled": self.compiled is not None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take a pickled state."""
+        self.__dict__.update(state)
+        self.compiled = None
+        if state["compiled"]:
+            self._compile()
 
     def __repr__(self) -> str:
         """Return a line: whose forces."""
         return f"Feedforward of {self.model.robot.name} ({', '.join(self.model.robot.actuated)}), {self.shape}"
 
     @classmethod
-    def load(cls, path: str | Path, *, width: float | np.ndarray = 0.01, shape: str = "ramp") -> Feedforward:
-        """Load from a model file that `identify` wrote; see `__init__` for the rest."""
-        return cls(Model.load(path), width=width, shape=shape)
+    def load(
+        cls, path: str | Path, *, width: float | np.ndarray = 0.01, shape: str = "ramp", compiled: bool = True
+    ) -> Feedforward:
+        """Load from a model file that `identify` wrote, compiled by default; see `__init__` for the rest."""
+        return cls(Model.load(path), width=width, shape=shape, compiled=compiled)
 
     def with_model(self, model: Model) -> Feedforward:
         """Return the same law, width and shape, of another model."""
@@ -110,11 +146,15 @@ class Feedforward:
         Raises:
             InputError: Shapes that do not fit the robot, or a position it cannot reach.
         """
-        q, v, a = (np.asarray(x, float) for x in (q, v, a))
+        q, v, a = np.asarray(q, float), np.asarray(v, float), np.asarray(a, float)
         if q.shape != v.shape or q.shape != a.shape or q.ndim not in (1, 2) or q.shape[-1] != self.model.robot.na:
             joints = ", ".join(self.model.robot.actuated)
             na = self.model.robot.na
             raise InputError("wrong_shape", f"q, v and a must have one shape, ({na},) or (N, {na}) for {joints}")
+        if self.compiled is not None and q.ndim == 1 and not signals:
+            force = self.compiled(q, v, a)
+            if force is not None:
+                return force
         felt = {name: np.atleast_2d(_shaped(name, x, q.shape)) for name, x in (signals or {}).items()}
         return self.forces(np.atleast_2d(q), np.atleast_2d(v), np.atleast_2d(a), felt).reshape(q.shape)
 

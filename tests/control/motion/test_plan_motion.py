@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from tau_dyn.control import Feedforward
 from tau_dyn.control.motion import MotionLimits, MotionPlan, plan_motion
 from tau_dyn.control.motion.coordinates import Free, Nodes, build_joint_line
 from tau_dyn.control.motion.plan import tighten_limits
+from tau_dyn.render.kinds.motion_plan import describe_verdict
 from tau_dyn.simulate import Trajectory
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -168,3 +170,12 @@ def test_no_plan_leaves_the_conditionings_limit(gantry):
     limits = MotionLimits.of(gantry, force=FORCE, condition=4.2)  # 4.13 and 4.15 at the ends, 4.39 between
     with raises_code("no_solution", "4", "4.2"):
         plan_motion(gantry, [1.75, -1.2, 0.15], [1.75, -0.25, 0.15], limits=limits, nodes=15)
+
+
+def test_the_verdict_names_no_cause_that_was_not_computed() -> None:
+    """Without a limit reached, the effort weight is named where there is one; at weight zero the missing limit is a question."""
+    plan = plan_motion(block(effort=1e4), [-0.4], [0.4], joints=True, nodes=20)
+    assert "force of" in describe_verdict(plan).sentence
+    loose = replace(plan, binding=())
+    assert describe_verdict(loose).level == "care" and "effort" not in describe_verdict(loose).sentence
+    assert "effort weight 0.5" in describe_verdict(replace(loose, energy_weight=0.5)).sentence

@@ -328,3 +328,11 @@ def test_an_arm_whose_home_is_singular_starts_from_a_bent_one():
     turns = found.workspace.machine.robot.home - robot.home
     assert np.count_nonzero(turns) == 2 and np.allclose(np.abs(turns[turns != 0]), np.pi / 2)
     assert 0.8 < found.workspace.size.value / (4 / 3 * np.pi * 0.91**3) < 1.05  # upper arm, forearm and wrist: 0.91 m
+
+
+def test_a_missing_range_of_tilt_is_said() -> None:
+    """Five drives lean a tool in some directions only: no range of tilt is computed, and a warning says so; three need none."""
+    for robot, said in ((load_robot("gantry_tau_5dof"), True), (robots.planar(), False)):
+        found = study_workspace(robot, resolution=0.2, demands=FREE)
+        assert found.tilt is None
+        assert any("no range of tilt" in sentence for sentence in found.warnings) is said

@@ -33,6 +33,7 @@ from .lifted_system import (
     compute_pulse_response as compute_pulse_response,
     stack_controlled_actuators as stack_controlled_actuators,
 )
+from .tool_axes import ToolAxes as ToolAxes
 from .trial_loop import (
     Convergence as Convergence,
     FrequencyCondition as FrequencyCondition,

@@ -16,6 +16,7 @@ import yaml
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_yaml, write_whole
 from tau_dyn.log import Log
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.modes import Actuator, ActuatorFit, Record, build_records, fit_actuators
 from tau_dyn.results import Shown
 
@@ -48,7 +49,11 @@ class ActuatorModels(Shown):
     def warnings(self) -> tuple[str, ...]:
         """Axes that no first-order system with a delay describes."""
         return tuple(
-            f"{name}: the fit explains {fit.fit_percent:.3g} % of the position; it is no first-order system with a delay"
+            CodedWarning(
+                "poor_fit",
+                f"{name}: the fit explains {fit.fit_percent:.3g} % of the position; it is no first-order system with a delay",
+                (_strip(name),),
+            )
             for name, fit in zip(self.outputs, self.fits, strict=True)
             if fit.fit_percent < _POOR_PERCENT
         )

@@ -6,6 +6,10 @@ from .advice import (
     fit_contact_stiffness as fit_contact_stiffness,
 )
 from .lead_through import LeadThrough as LeadThrough
+from .options_file import (
+    LeadThroughOptions as LeadThroughOptions,
+    read_lead_through_options as read_lead_through_options,
+)
 from .sensing import ForceSensor as ForceSensor
 from .settings import LeadThroughSettings as LeadThroughSettings
 from .stability import ForceLoop as ForceLoop, StabilityLimit as StabilityLimit

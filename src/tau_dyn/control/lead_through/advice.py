@@ -7,10 +7,14 @@ upper 95 % limit of the estimate.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tau_dyn.codegen import include_header, locate_header, write_lead_through_source
+from tau_dyn.control.lead_through.lead_through import LeadThrough
+from tau_dyn.control.lead_through.options_file import LeadThroughOptions
 from tau_dyn.control.lead_through.settings import LeadThroughSettings
 from tau_dyn.control.lead_through.stability import ForceLoop, StabilityLimit
 from tau_dyn.exceptions import CannotAnswer, InputError
@@ -61,6 +65,18 @@ class LeadThroughAdvice(Shown):
         )
         return [{"name": name, "value": float(value), "unit": unit} for name, value, unit in rows]
 
+    def write_code(self, source: Path) -> dict[Path, str]:
+        """Return the texts of the controller's C file and of its header, named after the file.
+
+        Raises:
+            InputError: The file's name is no identifier of C.
+        """
+        header = locate_header(source)
+        words = [f"{row['name']}: {row['value']:.6g} {row['unit']}" for row in self.to_rows()]
+        numbers = LeadThrough(self.settings).list_numbers()
+        code, declared = write_lead_through_source(numbers, source.stem, ["", *words])
+        return {source: include_header(code, source.stem, header), header: declared}
+
     def limits_over_stiffness(self) -> tuple[np.ndarray, np.ndarray]:
         """Return stiffnesses (n,) [N/m] and the gains (n,) at which the loop oscillates."""
         k = self.settings.contact_stiffness * _STIFFER
@@ -76,6 +92,7 @@ def advise_lead_through(
     force_gain: float | None = None,
     hand_stiffness: float = 1000.0,
     stderr: float | None = None,
+    options: LeadThroughOptions = LeadThroughOptions(),
 ) -> LeadThroughAdvice:
     """Return stable settings and how far they are from oscillating.
 
@@ -87,13 +104,19 @@ def advise_lead_through(
         force_gain: Gain of the tool force [m/s per N]; None for half of the limit.
         hand_stiffness: The stiffest hand [N/m].
         stderr: Standard error of the stiffness if it was estimated from a log [N/m].
+        options: Further settings.
 
     Raises:
         InputError: A value is out of range, or the loop would be unstable.
     """
     limit = loop.limit(stiffness)
-    gain = _SHARE * limit.gain if force_gain is None else force_gain
-    settings = LeadThroughSettings(stiffness, mass, damping, gain, loop=loop, hand_stiffness=hand_stiffness)
+    gain: float | np.ndarray = _SHARE * limit.gain if force_gain is None else force_gain
+    turning = options.values.get("turning_stiffness")
+    if turning is not None:  # torques turn the tool through a loop of their own
+        gain = np.repeat([gain, _SHARE * loop.limit(turning).gain], 3)
+    settings = LeadThroughSettings(
+        stiffness, mass, damping, gain, loop=loop, hand_stiffness=hand_stiffness, **options.values
+    )
     return LeadThroughAdvice(settings, limit, loop.hand_limit(mass, damping), stderr)
 
 

@@ -35,7 +35,16 @@ from typing import Protocol
 
 import numpy as np
 
-from tau_dyn.control.lead_through.sensing import ContactState, NormalEstimator, StiffnessWatch
+from tau_dyn.codegen import LeadThroughNumbers
+from tau_dyn.control.lead_through.sensing import (
+    COHERENT,
+    SLOW_M_S,
+    STIFFNESS_SAMPLES,
+    WEAK_N,
+    ContactState,
+    NormalEstimator,
+    StiffnessWatch,
+)
 from tau_dyn.control.lead_through.settings import LeadThroughSettings
 from tau_dyn.exceptions import InputError
 
@@ -149,11 +158,11 @@ class LeadThrough:
         """Forget everything measured."""
         s = self.settings
         self._handle = HandleImpedance(s.inertia, s.drag, self.sample_time)
-        smoothing = -np.expm1(-2 * np.pi * (s.normal_hz or np.inf) * self.sample_time)
+        self._normal_smoothing = float(-np.expm1(-2 * np.pi * (s.normal_hz or np.inf) * self.sample_time))
         calm = s.normal_hz is not None
-        self._normals = NormalEstimator(s.normal, s.correction_range, float(smoothing), calm, s.contact_on)
-        wait = max(1, round(s.contact_wait / self.sample_time))
-        self._contact = ContactState(1.0, s.contact_off / s.contact_on, s.release_force, wait)
+        self._normals = NormalEstimator(s.normal, s.correction_range, self._normal_smoothing, calm, s.contact_on)
+        self._wait = max(1, round(s.contact_wait / self.sample_time))
+        self._contact = ContactState(1.0, s.contact_off / s.contact_on, s.release_force, self._wait)
         self._watch = StiffnessWatch(s.contact_on, self.sample_time)
         self._bearable = _CALM * s.loop.limit(1.0).gain  # gain times stiffness
         self._gain = float(s.normal @ s.gain[:3, :3] @ s.normal)
@@ -190,6 +199,27 @@ class LeadThrough:
     def stiffness(self) -> float:
         """See the class."""
         return self._watch.stiffness
+
+    def list_numbers(self) -> LeadThroughNumbers:
+        """Return the controller's constants, from which `codegen.write_lead_through_source` writes C."""
+        s, loop = self.settings, self.settings.loop
+        values = {
+            "SAMPLE_TIME": loop.sample_time, "SMOOTHING": loop.smoothing, "PRESS": s.press, "REACH": s.correction_range,
+            "NORMAL_SMOOTHING": self._normal_smoothing, "CONTACT_ON": s.contact_on, "CONTACT_OFF": s.contact_off,
+            "TORQUE_ON": s.torque_on, "END_LOAD": s.contact_off / s.contact_on, "RELEASE_FORCE": s.release_force,
+            "WAIT": self._wait, "SPEED_LIMIT": s.speed_limit, "TURNING_LIMIT": s.turning_limit,
+            "FORCE_LIMIT": s.force_limit, "BEARABLE": self._bearable, "GAIN_ALONG": self._gain,
+            "FADE": self._watch.fade, "SAMPLES": STIFFNESS_SAMPLES, "COHERENT": COHERENT, "SLOW": SLOW_M_S, "WEAK": WEAK_N,
+        }  # fmt: skip
+        switches = {
+            "TURNS": s.turns, "TOOL_FORCE": s.tool_force, "WATCH": s.watch, "CALM": s.normal_hz is not None,
+            "LOCKED": s.locked_axis is not None,
+        }  # fmt: skip
+        locked = np.zeros(3) if s.locked_axis is None else s.locked_axis
+        sensors = (s.handle_sensor.to_numbers(), s.tool_sensor.to_numbers())
+        return LeadThroughNumbers(
+            np.linalg.inv(s.inertia), s.drag, s.gain, s.normal, locked, *sensors, switches, values
+        )
 
     def _look(self, hand: np.ndarray, raw: np.ndarray, place: np.ndarray) -> None:
         """Update contact state, stiffness and normal."""

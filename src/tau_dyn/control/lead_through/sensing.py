@@ -49,6 +49,7 @@ class ForceSensor:
         mass: Mass carried by the sensor [kg].
         centre: Centre of that mass in the sensor's frame (3,) [m].
         offset: Reading without any load (6,) [N, N m].
+        largest_force: Force of one axis at which the sensor saturates [N].
     """
 
     position: np.ndarray = field(default_factory=lambda: np.zeros(3))
@@ -56,6 +57,7 @@ class ForceSensor:
     mass: float = 0.0
     centre: np.ndarray = field(default_factory=lambda: np.zeros(3))
     offset: np.ndarray = field(default_factory=lambda: np.zeros(6))
+    largest_force: float = np.inf
 
     def __post_init__(self) -> None:
         """Refuse invalid values."""
@@ -72,6 +74,15 @@ class ForceSensor:
             raise InputError(
                 "invalid_value", f"the mass on a force sensor must not be below zero, but it is {self.mass}"
             )
+        if not self.largest_force > 0:
+            raise InputError(
+                "invalid_value", f"a force sensor's largest force must be above zero, but it is {self.largest_force}"
+            )
+
+    def to_numbers(self) -> np.ndarray:
+        """Return position, axes by rows, weight in the world, centre and offset (24,)."""
+        weight = self.mass * GRAVITY
+        return np.concatenate([self.position, self.rotation.ravel(), weight, self.centre, self.offset])
 
     def at_tool(self, reading: np.ndarray, tool_rotation: np.ndarray) -> np.ndarray:
         """Return the wrench (6,) at the tool point in world axes, without the weight.
@@ -126,8 +137,8 @@ class ContactState:
         return self.touching
 
 
-_SLOW = 2e-3  # [m/s] below which the command gives friction no direction
-_WEAK = 1e-9  # [N]
+SLOW_M_S = 2e-3  # [m/s] below which the command gives friction no direction
+WEAK_N = 1e-9  # [N]
 
 
 class NormalEstimator:
@@ -165,14 +176,14 @@ class NormalEstimator:
 
     def _printed(self, force: np.ndarray) -> np.ndarray:
         size = np.linalg.norm(force)
-        if size < _WEAK:
+        if size < WEAK_N:
             return self.nominal
         estimate = force / size
         return estimate if self.nominal @ estimate > np.cos(self._reach) else self.nominal
 
     def _without_friction(self) -> np.ndarray:
         speed = np.linalg.norm(self._along)
-        along = self._along / speed if speed > _SLOW else np.zeros(3)
+        along = self._along / speed if speed > SLOW_M_S else np.zeros(3)
         return self._force - (along @ self._force) * along
 
     def _within(self, force: np.ndarray) -> np.ndarray:
@@ -185,8 +196,8 @@ class NormalEstimator:
         return np.cos(tilt_kept) * self.nominal + np.sin(tilt_kept) * across / np.linalg.norm(across)
 
 
-_SAMPLES = 6  # memory of the regression
-_COHERENT = 0.5  # least squared coherence of force and motion for an estimate of the stiffness
+STIFFNESS_SAMPLES = 6  # memory of the regression
+COHERENT = 0.5  # least squared coherence of force and motion for an estimate of the stiffness
 _BACK = 5.0  # [s] in which the estimate falls back
 
 
@@ -200,7 +211,7 @@ class StiffnessWatch:
             least_force: Changes of force (root of the sum of squares) below which only noise is present [N].
             sample_time: Time between samples [s].
         """
-        self._least, self._fade = least_force, float(np.exp(-sample_time / _BACK))
+        self._least, self.fade = least_force, float(np.exp(-sample_time / _BACK))
         self._sums, self._last = np.zeros(3), None
         self.stiffness = 0.0
 
@@ -210,12 +221,12 @@ class StiffnessWatch:
 
     def update(self, force: float, place: float) -> float:
         """Return the stiffness [N/m], 0 while unknown, from the force along the normal [N] and the position into the work [m]."""
-        self.stiffness *= self._fade
+        self.stiffness *= self.fade
         if self._last is not None:
             df, dx = force - self._last[0], place - self._last[1]
-            self._sums = (1 - 1 / _SAMPLES) * self._sums + [df * df, df * dx, dx * dx]
+            self._sums = (1 - 1 / STIFFNESS_SAMPLES) * self._sums + [df * df, df * dx, dx * dx]
             ff, fx, xx = map(float, self._sums)
-            if ff > self._least**2 and fx > 0 and fx * fx > _COHERENT * ff * xx:
+            if ff > self._least**2 and fx > 0 and fx * fx > COHERENT * ff * xx:
                 self.stiffness = max(self.stiffness, fx / xx)
         self._last = (force, place)
         return self.stiffness

@@ -247,6 +247,12 @@ class LeadThroughSettings:
                     "invalid_value",
                     f"{low} ({getattr(self, low):g} N) must be below {high} ({getattr(self, high):g} N)",
                 )
+        if self.tool_force and not self.tool_sensor.largest_force > self.force_limit:
+            raise InputError(
+                "invalid_value",
+                f"the tool's sensor saturates at {self.tool_sensor.largest_force:g} N, where the force is not known; "
+                f"force_limit ({self.force_limit:g} N) must be below, so that the tool gives way before",
+            )
         if 0 < self.press <= self.contact_on:
             raise InputError(
                 "invalid_value",

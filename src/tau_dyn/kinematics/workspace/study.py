@@ -215,6 +215,9 @@ class Tilt(NamedTuple):
         }
 
 
+_POSITION_FREEDOMS = 3  # with more drives, a tool leans in some directions
+
+
 def turns_freely(found: Workspace) -> bool:
     """Return whether the tool's orientation can be chosen: six freedoms, six actuators."""
     machine = found.machine
@@ -389,6 +392,10 @@ def study_workspace(
         else None
     )
     warnings = [*found.warnings]
+    if lean is None and found.machine.robot.na > _POSITION_FREEDOMS:
+        warnings.append(
+            f"{robot.source}: {found.machine.robot.na} drives do not turn the tool freely, so no range of tilt is computed"
+        )
     if not np.array_equal(machine.robot.home, robot.home):
         posture = ", ".join(f"{joint} {x:.4g}" for joint, x in zip(robot.actuated, machine.robot.home, strict=True))
         warnings.append(f"{robot.source}: home is singular; the workspace is that around {posture}")

@@ -172,7 +172,9 @@ _WAYS = {"free": "on a path of its own choice", "line": "on a straight line", "p
 def describe_verdict(plan: MotionPlan) -> r.Verdict:
     """Return the verdict, with the limits that determine the duration."""
     if not plan.binding:
-        return r.Verdict("good", "It reaches no limit: the effort holds it back.", "Within limits")
+        if plan.energy_weight > 0:
+            return r.Verdict("good", f"It reaches no limit at effort weight {plan.energy_weight:.3g}.", "Within limits")
+        return r.Verdict("care", "It reaches no limit, although only the time is minimised.", "Within limits")
     reached = [f"{b.quantity} of {b.joint} ({r.format_percent(100 * b.share)} of the time)" for b in plan.binding]
     more = f" and {len(reached) - 4} more" if len(reached) > 4 else ""
     return r.Verdict("good", f"What holds it back: {r.format_list(reached[:4])}{more}.", "Within limits")
