@@ -176,6 +176,21 @@ def test_time_view_shows_both_models_and_what_each_part_served(page, diagnosed):
     assert [(round(a), round(b), ink) for a, b, ink in panels[0]["bands"]] == [(18, 24, "confirm"), (24, 30, "held")]
 
 
+def test_time_view_opens_at_the_output_with_the_largest_residual(page, diagnosed):
+    """The reader first looks at the output that the model misses by the largest share of its force."""
+    panels = json.loads(re.search(r'id="panels">(.*?)</script>', page, flags=re.DOTALL)[1])
+    left, force = (
+        np.sum([np.sum(x**2 * trace.usable, axis=0) for trace, x in pairs], axis=0)
+        for pairs in (
+            [(t, t.measured - t.after) for t in diagnosed.traces],
+            [(t, t.measured) for t in diagnosed.traces],
+        )
+    )
+    shares = dict(zip(diagnosed.outputs, left / force, strict=True))
+    assert len(set(shares.values())) > 1
+    assert panels[0]["joint"] == max(shares, key=shares.get)
+
+
 def test_parameters_are_compared_with_the_model_without_the_causes(page, diagnosed):
     """The table shows the extended model's values beside the refitted ones; a cause's own parameter is new."""
     row = re.search(r"<tr class=\"known\"><th>slide.stribeck</th>(.*?)</tr>", page)
