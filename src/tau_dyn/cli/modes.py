@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
@@ -166,12 +166,12 @@ def _read_poses(path: Path) -> dict[str, dict[str, float]]:
 
     content, found = read_yaml(path), {}
     for name, pose in content.items() if isinstance(content, dict) else [("", None)]:
-        values = list(pose.values()) if isinstance(pose, dict) else [None]
-        if not all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
+        values: dict[Any, Any] = pose if isinstance(pose, dict) else {"": None}
+        if not all(isinstance(v, int | float) and not isinstance(v, bool) for v in values.values()):
             raise InputError(
                 "file_format", f"{path}: '{name}' has no pose; write LOG: {{JOINT: VALUE, ..}} in m or rad"
             )
-        found[str(name)] = {str(j): float(v) for j, v in pose.items()}
+        found[str(name)] = {str(j): float(v) for j, v in values.items()}
     return found
 
 
