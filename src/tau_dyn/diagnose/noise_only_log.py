@@ -87,6 +87,7 @@ class NoiseOnlyLog:
         read: Positions without noise at the rate of the recording (N, na), and its clock.
         step: Steps to which positions are rounded (na,); 0 without rounding.
         level: Noise before the rounding (na,), which depends on the position of the joint.
+        smooth_hz: Low-pass of the positions without noise [Hz].
         taps: Response of forces to encoder noise; see `estimate_feedback_taps`.
         cutoff_hz: Low-pass by which the recording was thinned [Hz].
     """
@@ -98,6 +99,7 @@ class NoiseOnlyLog:
     read: Log
     step: np.ndarray
     level: np.ndarray
+    smooth_hz: float
     taps: np.ndarray
     cutoff_hz: float
 
@@ -118,23 +120,39 @@ class NoiseOnlyLog:
         if smooth_hz >= cutoff:
             q = lowpass(piece.log.joint("q", joints), min(smooth_hz, _WIDEST_CUTOFF_SHARE * rate), rate)
         measured = log.joint("q", joints)
-        smooth = lowpass(measured, min(smooth_hz, cutoff), log.rate_hz)
+        smooth_hz = min(smooth_hz, cutoff)
+        smooth = lowpass(measured, smooth_hz, log.rate_hz)
         step = estimate_quantisation_step(measured)
         level = np.sqrt(np.maximum(estimate_encoder_noise(measured) ** 2 - step**2 / 12, 0))
         taps = estimate_feedback_taps(log, joints, smooth_hz)
         read = replace(log, channels={f"q_{joint}": smooth[:, k] for k, joint in enumerate(joints)})
-        return cls(piece.log, joints, q, force, read, step, level, taps, cutoff)
+        return cls(piece.log, joints, q, force, read, step, level, smooth_hz, taps, cutoff)
 
     def draw(self, rng: np.random.Generator) -> Log:
         """Return the log with new encoder noise, and its response in the forces."""
-        smooth = self.read.joint("q", self.joints)
-        q = smooth + self.level * rng.standard_normal(smooth.shape)
-        grid = np.where(self.step > 0, self.step, 1.0)
-        phase = rng.uniform(size=len(grid))  # on the grid of the logs a rest would be exact
-        noise = np.where(self.step > 0, (np.round(q / grid + phase) - phase) * grid, q) - smooth
+        noise = self.draw_noise(rng)
         seen = decimate_log(self._build(self.read, noise, apply_feedback_taps(self.taps, noise)), self.cutoff_hz)
         forces = self.force + seen.joint("tau", self.joints)
         return self._build(self.log, self.q + seen.joint("q", self.joints), forces)
+
+    def draw_noise(self, rng: np.random.Generator) -> np.ndarray:
+        """Return encoder noise (N, na) [m or rad] at the rate of the recording.
+
+        Rounding errors repeat with each step. Where the steps pass more often than the low-pass lets through, what is left below
+        it is due to noise and changes of speed, which make the errors independent and uniform (Widrow & Kollar 2008). Smoothed
+        positions lack both: rounded again they would repeat. Slower, the errors follow from the position.
+        """
+        smooth = self.read.joint("q", self.joints)
+        noise = self.level * rng.standard_normal(smooth.shape)
+        phase = rng.uniform(size=len(self.step))  # on the grid of the logs a rest would be exact
+        if not np.any(self.step > 0):
+            return noise
+        grid = np.where(self.step > 0, self.step, 1.0)
+        rounded = (np.round((smooth + noise) / grid + phase) - phase) * grid - smooth
+        independent = noise + self.step * rng.uniform(-0.5, 0.5, smooth.shape)
+        steps_hz = np.abs(np.gradient(smooth, axis=0)) * self.read.rate_hz / grid
+        drawn = np.where(steps_hz > self.smooth_hz, independent, rounded)
+        return np.where(self.step > 0, drawn, noise)
 
     def _build(self, log: Log, q: np.ndarray, tau: np.ndarray) -> Log:
         """Return a log with these positions and forces (n, na), and its other channels."""
