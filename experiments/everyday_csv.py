@@ -4,7 +4,7 @@
 
 Each file holds the same kind of recording: one to three joints that move, at 50 to 2000 Hz. It is written in a random locale
 (decimal sign, separator, encoding, line ends), with a random clock, and with random blanks, empty cells, units, topics and rates.
-`everyday_parts/` writes it and states what has to come back: the samples, or the codes of refusals that are true of the file. A
+`everyday_parts/` writes it and states the expected result: the samples, or the codes of refusals that are true of the file. A
 file counts as a fault if its samples differ, if it is refused though the reference says that it is read, if the refusal has
 another code, no file name or more than one line, or if anything but a refusal is raised. `check` and `columns` are called too.
 Prints a table by kind of clock and of layout; exit status 1 where a fault was found, each with the seed that makes it again.

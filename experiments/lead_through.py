@@ -4,7 +4,7 @@
 
 In: nothing; arm, works and operator are simulated (lead_through_parts/scene.py), noise and the operator's stray come from the
 seed. With --exported the surface and the peg are led by the controller's exported C. Out, in OUT_DIR (default
-out/lead_through): one CSV a table, printed too, and the figure. The answer stands in docs/results/control.md. Needs matplotlib
+out/lead_through): one CSV a table, printed too, and the figure. The results are in docs/results/control.md. Needs matplotlib
 (`pip install tau_dyn[experiments]`), and a C compiler for --exported. About 3 minutes on one core.
 """
 

@@ -146,7 +146,7 @@ def respond(M: np.ndarray, D: np.ndarray, K: np.ndarray, rows: np.ndarray, u: np
 
 
 def draw_pose(machine: Machine, rng: np.random.Generator) -> np.ndarray:
-    """Return a pose about home at which the robot stands in its springs."""
+    """Return a pose about home at which gravity and the springs are in equilibrium."""
     robot = machine.truth.robot
     while True:
         q = robot.home + machine.reach * rng.uniform(-1, 1, robot.na)

@@ -6,7 +6,7 @@ The 10 mm square. Every trial is a CSV; `learn` reads the trials of its case and
 1), or of the tool that `observe` estimates with a complementary filter (2A) or a Kalman filter (2B), or that gauges measure (3).
 The Kalman filter's model comes from `modes` on a log of binary sequences. Out, in OUT_DIR (default out/tool_learning): a page a
 case, `cases.csv`, and the figure. (7.28) is that of the thesis' law, by `learn --gain 0.9 --shift 5 --cutoff 10`; where `learn`
-chooses, the largest growth that its trials do not exclude stands beside it. Ten minutes on one core. Needs matplotlib.
+chooses, the largest growth that its trials do not exclude is next to it. Ten minutes on one core. Needs matplotlib.
 """
 
 import argparse

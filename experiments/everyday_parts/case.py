@@ -1,4 +1,4 @@
-"""A file as people have it, and what has to come back; how rows become bytes."""
+"""A file as people have it and its expected result; how rows become bytes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Case:
-    """A file, and what is right.
+    """A file and its expected result.
 
     Attributes:
         kind: Clock and oddity, for the table.

@@ -1,4 +1,4 @@
-"""Compares what a file was read as with what it holds."""
+"""Compares the samples read from a file with the recorded ones."""
 
 from __future__ import annotations
 

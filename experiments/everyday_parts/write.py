@@ -1,4 +1,4 @@
-"""Writes one recording as people have it, and states what has to come back.
+"""Writes one recording as people have it, and states the expected result.
 
 A case is drawn from its seed: a recording, then a clock, a layout, and at most one further oddity. The reference (`files.md`,
 "Text files of other programs") decides whether it is read or refused.
@@ -190,7 +190,7 @@ def _write_table(case: Case, layout: Layout, clock: str, oddity: str, g: np.rand
 
 
 def _write_clock(case: Case, layout: Layout, clock: str, g: np.random.Generator) -> tuple[list[str], str, Any, Case]:
-    """Return the clock's cells, its name, its entry in a column map (or None), and the case with what comes back."""
+    """Return the clock's cells, its name, its entry in a column map (or None), and the case with its expected result."""
     t, number = case.t, _number(layout, 6)
     if clock == "seconds":
         return [number(x) for x in t + g.uniform(0, 1000)], "t", None, case
