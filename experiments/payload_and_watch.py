@@ -162,7 +162,7 @@ def run_alarms(hours: float, seed: int) -> None:
             sigma = float(np.std(filtered[:30]))
             s += filtered @ columns / sigma**2
             G += columns.T @ columns / sigma**2
-        normal = NormalState.of([BlockScore((0.0, 2.0), "", z, G) for z in s[:30]], np.full(D, 1e3))
+        normal = NormalState.of([BlockScore((0.0, 2.0), "", z, G, np.nan, 0) for z in s[:30]], np.full(D, 1e3))
         total = np.vstack([np.zeros(D), np.cumsum(s[30:] - G @ normal.theta, axis=0)])
         largest = np.zeros(len(total) - 1)
         for length in LENGTHS:

@@ -244,3 +244,13 @@ def test_each_file_may_write_its_orientations_its_own_way(robot: Robot) -> None:
     found = calibrate(robot, written, held)
     assert any(get_code(w) == "poses_reread" for w in found.warnings)
     assert found.errors(found.chosen).position_size.rms < 4 * NOISE[0]
+
+
+@pytest.mark.parametrize("cause", ["quaternion_order", "joint_unit", "axis_sign"])
+def test_the_held_out_file_alone_may_follow_another_convention(robot: Robot, cause: str) -> None:
+    """It is named and read so, and the geometry's error is that of the measurement, as with the file of the training poses."""
+    train, held = measure(robot, 4), WRONG[cause][0](measure(robot, 4, 30))
+    found = calibrate(robot, train, replace(held, source="held.csv"))
+    (said,) = [w for w in found.warnings if get_code(w) == "poses_reread"]
+    assert said.startswith("held.csv: ")
+    assert found.errors(found.chosen).position_size.rms < 4 * NOISE[0]

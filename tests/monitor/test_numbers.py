@@ -48,7 +48,8 @@ def test_the_scatter_of_a_reference_counts_what_it_has_learnt(rng) -> None:
         for k in range(4):
             root = rng.normal(size=(3, 3))
             G = 50 * root @ root.T
-            blocks.append(BlockScore((float(k), k + 1.0), "log", np.linalg.cholesky(G) @ rng.normal(size=3), G))
+            z = np.linalg.cholesky(G) @ rng.normal(size=3)
+            blocks.append(BlockScore((float(k), k + 1.0), "log", z, G, float(z @ np.linalg.solve(G, z)), 3))
         found.append(NormalState.of(blocks, np.full(3, 1e3)).phi)
     assert_allclose(np.mean(found), 1.0, atol=0.12)
 

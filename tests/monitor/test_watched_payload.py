@@ -10,7 +10,7 @@ import pytest
 from tau_dyn.effects import build_friction_model
 from tau_dyn.log import Log
 from tau_dyn.model import Model
-from tau_dyn.monitor import watch_logs
+from tau_dyn.monitor import WatchResult, watch_logs
 from tau_dyn.robot import load_robot
 from tau_dyn.simulate import build_fourier_motion
 
@@ -42,13 +42,12 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Model:
     return plain.with_values({p.name: 1.5 if "coulomb" in p.name else 1.0 for p in plain.effect_parameters})
 
 
-def test_a_body_beside_the_tool_is_a_payload_of_its_mass(model: Model) -> None:
-    """Its force along the motion looks more like a turned wrist than like a point mass at the tool frame."""
+def watch(model: Model, place: np.ndarray, zero: dict[str, float]) -> WatchResult:
+    """Watch 130 s in which, after 85 s, a body of 1 kg is gripped at a place of the wrist's frame, and encoders are turned."""
     robot = model.robot
     motion = build_fourier_motion(model, 130.0, 7).every(8)
-    names = [f"wrist_link.{part}" for part in ("mass", "mx", "my", "mz")]
-    added = LOAD_KG * np.array([1.0, *BESIDE_M])
-    x, y, z = BESIDE_M
+    added = LOAD_KG * np.array([1.0, *place])
+    x, y, z = place
     inertia = {
         "ixx": y * y + z * z,
         "iyy": x * x + z * z,
@@ -57,16 +56,36 @@ def test_a_body_beside_the_tool_is_a_payload_of_its_mass(model: Model) -> None:
         "ixz": -x * z,
         "iyz": -y * z,
     }
+    names = [f"wrist_link.{part}" for part in ("mass", "mx", "my", "mz")]
     values = {n: robot.parameters[n].value + float(d) for n, d in zip(names, added, strict=True)}
     values |= {f"wrist_link.{k}": robot.parameters[f"wrist_link.{k}"].value + LOAD_KG * v for k, v in inertia.items()}
     normal, loaded = (m.torque(motion.q, motion.v, motion.a) for m in (model, model.with_values(values)))
-    tau = np.where((motion.t >= AT)[:, None], loaded, normal)
+    later = (motion.t >= AT)[:, None]
+    tau = np.where(later, loaded, normal)
     tau = tau + 0.05 * np.random.default_rng(0).standard_normal(tau.shape)
-    columns = {f"q_{j}": motion.q[:, k] for k, j in enumerate(JOINTS)} | {
-        f"tau_{j}": tau[:, k] for k, j in enumerate(JOINTS)
-    }
-    found = watch_logs(model, [Log(motion.t, columns, "log.csv")])
+    q = motion.q + later * [zero.get(j, 0.0) for j in JOINTS]
+    columns = {f"q_{j}": q[:, k] for k, j in enumerate(JOINTS)} | {f"tau_{j}": tau[:, k] for k, j in enumerate(JOINTS)}
+    return watch_logs(model, [Log(motion.t, columns, "log.csv")])
+
+
+def test_a_body_beside_the_tool_is_a_payload_of_its_mass(model: Model) -> None:
+    """Its force along the motion looks more like a turned wrist than like a point mass at the tool frame."""
+    found = watch(model, BESIDE_M, {})
     (row,) = found.rows()
     assert (row["what"], row["unit"]) == ("payload", "kg")
-    assert row["size"] == pytest.approx(LOAD_KG, rel=0.2), "0.67 kg by its force at the tool frame alone"
+    assert row["size"] == pytest.approx(LOAD_KG, rel=0.02), "0.67 kg by its force at the tool frame alone"
+    assert row["ci95"][0] < LOAD_KG < row["ci95"][1]
     assert [d["what"] for d in found.to_dict()["watched_for"]].count("payload") == 1
+
+
+def test_a_tool_and_an_encoder_that_change_at_once_are_both_named(model: Model) -> None:
+    """A tool change in which the elbow's encoder is turned by 20 mrad: logged positions are 20 mrad larger.
+
+    The turned elbow's force is that of the loaded arm, 1.4 times the unloaded arm's, so the zero is suspected and its size rough.
+    """
+    found = watch(model, np.zeros(3), {"elbow": 0.02})
+    rows = {(row["what"], row["joint"]): row for row in found.rows()}
+    assert set(rows) == {("payload", None), ("encoder_offset", "elbow")}
+    assert rows["payload", None]["size"] == pytest.approx(LOAD_KG, rel=0.03)
+    assert rows["encoder_offset", "elbow"]["size"] == pytest.approx(-0.02, rel=0.5)
+    assert {f.cause: f.status for f in found.findings} == {"payload": "parameter", "joint_zero": "suspected"}

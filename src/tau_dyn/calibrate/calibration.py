@@ -17,7 +17,13 @@ from tau_dyn.calibrate.causes import (
     suspect_all,
     suspect_laws,
 )
-from tau_dyn.calibrate.conventions import FoundReading, build_pose_proposal, find_reading, measure_as_written
+from tau_dyn.calibrate.conventions import (
+    FoundReading,
+    build_pose_proposal,
+    find_reading,
+    is_explained,
+    measure_as_written,
+)
 from tau_dyn.calibrate.device_noise import weigh_devices
 from tau_dyn.calibrate.geometry import Geometry
 from tau_dyn.calibrate.geometry_fit import GeometryFit
@@ -259,24 +265,49 @@ def _reread(
         return poses, holdout, None, tuple(said)
     found, geometry, limits = _find_convention(robot, poses, options)
     said += [found.describe(poses.source)] if found else []
-    if found and holdout is not None:
-        meant = found.apply_alike(holdout)
-        written, read = (
-            (measure_as_written(geometry, some, limits).value for some in (holdout, meant))
-            if holdout.measures_poses
-            else (1.0, 0.0)  # distances and touches show no convention by themselves
-        )
-        if written < read:
-            said.append(
-                f"{holdout.source} follows the documented convention, unlike {poses.source}, and is read as written"
-            )
-        holdout = holdout if written < read else meant
+    if holdout is not None:
+        holdout, more = _reread_holdout(robot, poses.source, holdout, found, (geometry, limits), options)
+        said += more
     poses = found.apply(poses) if found else poses
     if found and "inverse_poses" in {change.cause for change in found.reading}:
         poses, holdout = _see_from_tool(robot, poses, holdout, options)
     for one in (poses, *([holdout] if holdout is not None else [])):
         check_units(one)
     return poses, holdout, found, tuple(said)
+
+
+def _reread_holdout(
+    robot: Robot,
+    trained: str,
+    holdout: PoseSet,
+    found: FoundReading | None,
+    file: tuple[Geometry, tuple[np.ndarray, np.ndarray]],
+    options: Options,
+) -> tuple[PoseSet, list[str]]:
+    """Return held-out poses in the training file's convention, as written, or in their own, and sentences.
+
+    Args:
+        robot: The robot.
+        trained: Name of the training file.
+        holdout: Held-out poses.
+        found: Convention of the training file.
+        file: Geometry of the robot file, and the joints' limits.
+        options: How the dimensions are fitted.
+    """
+    meant = found.apply_alike(holdout) if found else holdout
+    if not holdout.measures_poses:
+        return meant, []  # distances and touches show no convention by themselves
+    written, read = (measure_as_written(file[0], some, file[1]) for some in (holdout, meant))
+    if is_explained(min(written, read, key=lambda misfit: misfit.value)):
+        if read.value <= written.value:
+            return meant, []
+        return holdout, [
+            f"{holdout.source} follows the documented convention, unlike {trained}, and is read as written"
+        ]
+    own = _find_convention(robot, holdout, options)[0]
+    if own is None:
+        return (meant if read.value <= written.value else holdout), []
+    return own.apply(holdout), [own.describe(holdout.source)]
 
 
 def _reread_beside_encoders(

@@ -15,15 +15,18 @@ exact noise model is needed, and without a change `sqrt(T)` is Student's t with 
 block tests D directions over L lengths from 2 s to an hour. With N = 1800 blocks an hour, the threshold h follows from the
 rate r [1/h] by Bonferroni,  2 P(t > h) = r / (N D L);  the expected number of false alarms is at most r an hour, averaged
 over references. A simultaneous change of several numbers, such as the mass and the centre of a body, is named by their joint
-statistic minus the penalty of Schwarz' criterion for each number beyond the first. The time of a change is the change-point
-with the likelihood interval of Hansen 2000. Reference: Lorden 1971; Basseville & Nikiforov 1993, 5 and 8; Hansen 2000, Sample
-splitting and threshold estimation.
+statistic minus the penalty of Schwarz' criterion for each number beyond the first. Several changes at once, such as a tool and
+an encoder's zero, are found one after another by the score that the others leave. The time of a change is the change-point
+with the likelihood interval of Hansen 2000, and the block before it, inside which it may lie. Reference: Lorden 1971;
+Basseville & Nikiforov 1993, 5 and 8; Hansen 2000, Sample splitting and threshold estimation.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -39,6 +42,10 @@ LENGTHS = np.unique(np.round(np.geomspace(1, BLOCKS_PER_HOUR, 20)).astype(int))
 """Numbers of blocks over which a change is tested: from one to those of an hour, each about 1.5 times the one before."""
 CONFIRMING_BLOCKS = 5
 """Blocks after a detection that take part in the name, the size and the time of a change: 10 s separate similar causes."""
+_WIDE = 100.0  # times a typical size: no change is drawn towards zero, and one that the data do not show stays finite
+_MIN_NEW_SHARE = 1e-6  # of a direction's information that others leave; less is the same change
+_MAX_LEFT_SHARE = 0.5
+"""Share of what one change leaves beyond the noise; where all directions together leave more, none of them is its cause."""
 CHANGE_POINT_95 = 7.35
 """Fall of the likelihood ratio that contains 95 % of true change-points: -2 log(1 - sqrt(0.95)) (Hansen 2000)."""
 
@@ -52,12 +59,31 @@ class BlockScore:
         log: Log to which it belongs.
         z: `X' e` (D,).
         G: `X' X` (D, D).
+        power: `e' e`.
+        rows: Number of rows.
     """
 
     t: tuple[float, float]
     log: str
     z: np.ndarray
     G: np.ndarray
+    power: float
+    rows: int
+
+
+def compute_power(block: BlockScore, theta: np.ndarray) -> float:
+    """Return the squared white residual of a block with directions of sizes (D,)."""
+    return float(block.power - 2 * theta @ block.z + theta @ block.G @ theta)
+
+
+class JointEstimate(NamedTuple):
+    """Directions that change together: sizes, standard errors and their freedom (k,), statistic, squared residual taken away."""
+
+    sizes: np.ndarray
+    stderr: np.ndarray
+    dof: np.ndarray
+    statistic: float
+    power: float
 
 
 @dataclass(frozen=True)
@@ -77,6 +103,7 @@ class DetectedChange:
         statistic: Likelihood ratio of the change.
         false_alarms_per_hour: Expected number of false alarms with a statistic as large.
         twins: Directions that explain it as well.
+        beside: Directions that changed at the same time.
     """
 
     direction: int
@@ -91,6 +118,7 @@ class DetectedChange:
     statistic: float
     false_alarms_per_hour: float
     twins: tuple[int, ...]
+    beside: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,14 +128,20 @@ class NormalState:
     Attributes:
         theta: Offset of each direction (D,).
         inverse: Inverse of its information, priors included (D, D).
-        phi: Scatter of its scores in units of their information (D,).
-        dof: Degrees of freedom of that scatter.
+        left: Scores of its blocks (B, D).
+        expected: Their covariance in units of the information (B, D, D).
+        dof: Degrees of freedom of the scatter of a direction to which all blocks contribute.
+        noise: Mean square of its white residual.
+        wide: Standard deviation of each direction's size before any data (D,).
     """
 
     theta: np.ndarray
     inverse: np.ndarray
-    phi: np.ndarray
+    left: np.ndarray
+    expected: np.ndarray
     dof: float
+    noise: float
+    wide: np.ndarray
 
     @classmethod
     def of(cls, blocks: Sequence[BlockScore], sizes: np.ndarray) -> NormalState:
@@ -116,10 +150,28 @@ class NormalState:
         inverse = np.linalg.inv(G.sum(axis=0) + np.diag(1 / sizes**2))
         theta = inverse @ z.sum(axis=0)
         left = z - G @ theta
-        expected = np.einsum("bdd->bd", G) - np.einsum("bde,ef,bdf->bd", G, inverse, G)
-        phi = np.sum(left**2, axis=0) / np.maximum(expected.sum(axis=0), 1e-300)
-        leverage = expected.sum(axis=0) / np.maximum(np.einsum("bdd->d", G), 1e-300)
-        return cls(theta, inverse, np.where(phi > 0, phi, 1.0), max(2.0, len(blocks) * float(np.min(leverage))))
+        expected = G - G @ inverse @ G
+        leverage = np.einsum("bdd->d", expected) / np.maximum(np.einsum("bdd->d", G), 1e-300)
+        dof = max(2.0, len(blocks) * float(np.min(leverage)))
+        power = sum(compute_power(b, theta) for b in blocks)
+        noise = power / max(sum(b.rows for b in blocks), 1)
+        return cls(theta, inverse, left, expected, dof, noise, _WIDE * sizes)
+
+    @cached_property
+    def phi(self) -> np.ndarray:
+        """Scatter of the scores in units of their information (D,)."""
+        return self.compute_scatter(np.eye(len(self.theta)))[0]
+
+    def compute_scatter(self, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the scatter (k,) of combinations `of` (k, D) of the scores in units of their information, and its freedom (k,).
+
+        Few blocks may hold most of the information about a combination; its degrees of freedom are then few (Satterthwaite 1946).
+        """
+        expected = np.einsum("kd,bde,ke->bk", of, self.expected, of)
+        total = np.maximum(expected.sum(axis=0), 1e-300)
+        phi = np.sum((self.left @ of.T) ** 2, axis=0) / total
+        dof = np.minimum(total**2 / np.maximum(np.sum(expected**2, axis=0), 1e-300), self.dof)
+        return np.where(phi > 0, phi, 1.0), np.maximum(dof, 2.0)
 
     def compute_statistics(self, s: np.ndarray, G: np.ndarray) -> np.ndarray:
         """Return the statistics (.., D) of summed scores (.., D) and information (.., D, D)."""
@@ -128,23 +180,35 @@ class NormalState:
         variance = self.phi * (known + unsure)
         return np.where(known > 0, s**2 / np.maximum(variance, 1e-300), 0.0)
 
-    def estimate_sizes(self, s: np.ndarray, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the sizes (D,) by summed scores, each direction taken alone, and their standard errors (D,)."""
-        known = np.maximum(np.diag(G), 1e-300)
-        unsure = np.einsum("de,ef,df->d", G, self.inverse, G)
-        return s / known, np.sqrt(self.phi * (known + unsure)) / known
-
-    def compute_joint_statistic(
-        self, s: np.ndarray, G: np.ndarray, members: Sequence[int]
-    ) -> tuple[float, np.ndarray, np.ndarray]:
-        """Return the statistic of directions that change together, their sizes (k,) and standard errors (k,)."""
+    def estimate(self, s: np.ndarray, G: np.ndarray, members: Sequence[int]) -> JointEstimate:
+        """Return the sizes (k,) of directions that change together, their standard errors (k,) and their statistic."""
         mine = list(members)
-        scatter = np.sqrt(np.outer(self.phi[mine], self.phi[mine]))
-        known = G[np.ix_(mine, mine)]
-        variance = scatter * (known + G[mine] @ self.inverse @ G[mine].T)
-        inverse = np.linalg.pinv(known)
-        statistic = float(s[mine] @ np.linalg.pinv(variance) @ s[mine])
-        return statistic, inverse @ s[mine], np.sqrt(np.diag(inverse @ variance @ inverse))
+        prior = np.diag(1 / self.wide[mine] ** 2)
+        inverse = np.linalg.inv(G[np.ix_(mine, mine)] + prior)
+        of = np.zeros((len(mine), len(s)))
+        of[:, mine] = inverse
+        spread = self._compute_variance(G, of) + np.diag(inverse @ prior @ inverse)
+        dof = self.compute_scatter(of)[1]
+        scatter = np.sqrt(self.phi[mine])
+        variance = np.outer(scatter, scatter) * (G + G @ self.inverse @ G)[np.ix_(mine, mine)]
+        statistic = float(s[mine] @ np.linalg.pinv(variance, hermitian=True) @ s[mine])
+        return JointEstimate(inverse @ s[mine], np.sqrt(spread), dof, statistic, float(s[mine] @ inverse @ s[mine]))
+
+    def test_further(self, s: np.ndarray, G: np.ndarray, members: Sequence[int]) -> np.ndarray:
+        """Return the statistic (D,) of each direction where others change already; zero for those and what they explain."""
+        mine = list(members)
+        if not mine:
+            return self.compute_statistics(s, G)
+        without = np.eye(len(s))
+        without[:, mine] -= G[:, mine] @ np.linalg.inv(G[np.ix_(mine, mine)] + np.diag(1 / self.wide[mine] ** 2))
+        known = np.diag(without @ G @ without.T)
+        variance = self._compute_variance(G, without)
+        new = (known > _MIN_NEW_SHARE * np.diag(G)) & ~np.isin(range(len(s)), mine)
+        return np.where(new, (without @ s) ** 2 / np.maximum(variance, 1e-300), 0.0)
+
+    def _compute_variance(self, G: np.ndarray, of: np.ndarray) -> np.ndarray:
+        """Return the variance (k,) of combinations `of` (k, D) of the summed scores."""
+        return self.compute_scatter(of)[0] * np.diag(of @ (G + G @ self.inverse @ G) @ of.T)
 
 
 @dataclass(eq=False)
@@ -212,7 +276,7 @@ class ChangeDetector:
         """Name a detected change that is still open, and learn again; call it also when the blocks end."""
         if self._detected is None or self.normal is None:
             return
-        self.changes.append(self._describe(self.normal, self._detected))
+        self.changes += self._describe(self.normal, self._detected)
         self.normal, self._learning, self._detected = None, [], None
 
     def _start(self, normal: NormalState) -> None:
@@ -234,7 +298,8 @@ class ChangeDetector:
         self._blocks = self._blocks[cut:]
         self._s, self._G = self._s[cut:] - self._s[cut], self._G[cut:] - self._G[cut]
 
-    def _describe(self, normal: NormalState, detected: int) -> DetectedChange:
+    def _describe(self, normal: NormalState, detected: int) -> list[DetectedChange]:
+        """Return what changed, the change with the most evidence first, and when."""
         n = len(self._blocks)
         first = max(0, detected + 1 - int(LENGTHS[-1]))
         starts = np.arange(first, detected + 1)
@@ -243,21 +308,28 @@ class ChangeDetector:
         whole = self._join_statistics(T, normal, s, G)
         k, d = (int(x) for x in np.unravel_index(int(np.argmax(T)), T.shape))
         near = np.flatnonzero(T[:, d] > T[k, d] - CHANGE_POINT_95)
-        sizes, errors = normal.estimate_sizes(s[k], G[k])
-        if whole[k] and d == self.together[0]:
-            _, joint_sizes, joint_errors = normal.compute_joint_statistic(s[k], G[k], self.together)
-            sizes[d], errors[d] = joint_sizes[0], joint_errors[0]
-        half = float(stats.t.isf(0.025, normal.dof)) * float(errors[d])
-        begin, end = (self._blocks[first + int(x)] for x in (near[0], near[-1]))
-        at, found = self._blocks[first + k], self._blocks[detected]
-        chance = BLOCKS_PER_HOUR * self.n_tests * 2 * float(stats.t.sf(np.sqrt(T[k, d]), normal.dof))
-        twins = [int(x) for x in np.flatnonzero(T.max(axis=0) > T[k, d] - MIN_2LOGL_DIFFERENCE) if x != d]
+        together = self.together if whole[k] or d not in self.together else ()
+        at = self._blocks[first + k]
+        inside = first + k > 0 and self._blocks[first + k - 1].log == at.log and first + k < n - 1
+        whole_blocks = first + k + inside  # the change may lie inside the first block since then
+        s, G = self._s[n] - self._s[whole_blocks], self._G[n] - self._G[whole_blocks]
+        since = _Since(normal, s, G, self._blocks[whole_blocks:], together, self.together[1:], T.max(axis=0))
+        found = self._blocks[detected]
+        begin, end = (self._blocks[max(0, first + int(x))] for x in (near[0] - 1, near[-1]))
         early = begin.t[0] if begin.log == at.log else at.t[0]
         late = end.t[1] if end.log == at.log else at.t[1]
-        return DetectedChange(
-            d, at.t[0], at.log, (early, late), found.t[1], found.log, float(sizes[d]), float(errors[d]),
-            (float(sizes[d]) - half, float(sizes[d]) + half), float(T[k, d]), chance, tuple(twins),
-        )  # fmt: skip
+        changes = []
+        for change in since.list_changes(d, self.threshold**2):
+            statistic, size, stderr, dof, twins = since.measure(change)
+            half = float(stats.t.isf(0.025, dof)) * stderr
+            chance = BLOCKS_PER_HOUR * self.n_tests * 2 * float(stats.t.sf(np.sqrt(statistic), normal.dof))
+            changes.append(
+                DetectedChange(
+                    change, at.t[0], at.log, (early, late), found.t[1], found.log, size, stderr,
+                    (size - half, size + half), statistic, chance, twins, tuple(x for x in since.changes if x != change),
+                )
+            )  # fmt: skip
+        return changes
 
     def _join_statistics(self, T: np.ndarray, normal: NormalState, s: np.ndarray, G: np.ndarray) -> np.ndarray:
         """Replace the statistic of the first of the joint directions in T (K, D) by that of all of them, if that is larger.
@@ -270,11 +342,93 @@ class ChangeDetector:
             return whole
         first, *others = self.together
         price = len(others) * np.log(np.arange(len(T), 0, -1) + 1.0)
-        joint = (
-            np.array([normal.compute_joint_statistic(a, b, self.together)[0] for a, b in zip(s, G, strict=True)])
-            - price
-        )
+        joint = np.array([normal.estimate(a, b, self.together).statistic for a, b in zip(s, G, strict=True)]) - price
         whole = joint > T[:, first]
         T[:, first] = np.maximum(T[:, first], joint)
         T[:, others] = 0.0
         return whole
+
+
+@dataclass(eq=False)
+class _Since:
+    """What changed since one block, if several directions may have changed at once.
+
+    Attributes:
+        normal: The normal state.
+        s: Summed scores (D,).
+        G: Summed information (D, D).
+        blocks: The blocks since.
+        together: Directions of one body, its mass first; empty where the mass alone explains it.
+        parts: Directions that are not named alone.
+        alone: Largest statistic of each direction (D,), each taken alone, over all starts.
+        changes: The directions that changed.
+    """
+
+    normal: NormalState
+    s: np.ndarray
+    G: np.ndarray
+    blocks: Sequence[BlockScore]
+    together: tuple[int, ...]
+    parts: tuple[int, ...]
+    alone: np.ndarray
+    changes: list[int] = field(default_factory=list)
+
+    def list_changes(self, first: int, threshold: float) -> list[int]:
+        """Return the directions that changed at once, from the one with the largest statistic.
+
+        Further ones count if their statistic, those before in the model, exceeds the threshold, and if the directions together
+        explain most of what the first one leaves: what no direction explains is not named by the most similar one.
+        """
+        self.changes = [first]
+        left = self._compute_excess(self._list_members(self.changes))
+        if self._compute_excess(range(len(self.s))) > _MAX_LEFT_SHARE * left:
+            return self.changes
+        while (T := self._test_further(self.changes)).max() > threshold:
+            self.changes.append(int(np.argmax(T)))
+        for change in tuple(self.changes):
+            others = [x for x in self.changes if x != change]
+            if others and self._test_further(others)[change] <= threshold:
+                self.changes = others
+        return self.changes
+
+    def measure(self, change: int) -> tuple[float, float, float, float, tuple[int, ...]]:
+        """Return the statistic of a change beside the others, size, standard error, its freedom, and directions that do as well.
+
+        What the changes leave for the other directions, such as the force of a payload at a wrong zero, may resemble any of them:
+        one whose statistic is smaller by no more does as well, and the standard error grows as if each had an equal share of it.
+        """
+        others = [x for x in self.changes if x != change]
+        T = self._test_further(others) if others else self.alone
+        unexplained, noise = self._compute_unexplained()
+        twins = np.flatnonzero(T > T[change] - MIN_2LOGL_DIFFERENCE - unexplained)
+        members = self._list_members(self.changes)
+        found, k = self.normal.estimate(self.s, self.G, members), members.index(change)
+        size, stderr = float(found.sizes[k]), float(found.stderr[k] * np.sqrt(noise + unexplained / len(self.s)))
+        return float(T[change]), size, stderr, float(found.dof[k]), tuple(int(x) for x in twins if x != change)
+
+    def _compute_unexplained(self) -> tuple[float, float]:
+        """Return what the other directions would explain beyond two standard deviations of chance, and the noise since then.
+
+        Both are over the noise of the reference; the noise counts as no lower than that.
+        """
+        members = self._list_members(self.changes)
+        every, these = (self.normal.estimate(self.s, self.G, some).power for some in (range(len(self.s)), members))
+        others = len(self.s) - len(members)
+        power = sum(compute_power(block, self.normal.theta) for block in self.blocks)
+        noise = max((power - every) / (self.normal.noise * sum(block.rows for block in self.blocks)), 1.0)
+        return max((every - these) / self.normal.noise - others - 2 * np.sqrt(2 * others), 0.0), noise
+
+    def _list_members(self, changes: Sequence[int]) -> list[int]:
+        """Return the directions of changes, a body's in full."""
+        return [m for x in changes for m in (self.together if x in self.together[:1] else (x,))]
+
+    def _test_further(self, changes: Sequence[int]) -> np.ndarray:
+        T = self.normal.test_further(self.s, self.G, self._list_members(changes))
+        T[list(self.parts)] = 0.0
+        return T
+
+    def _compute_excess(self, members: Sequence[int]) -> float:
+        """Return the squared residual beyond the reference's noise, with directions that change."""
+        power = sum(compute_power(block, self.normal.theta) for block in self.blocks)
+        noise = self.normal.noise * sum(block.rows for block in self.blocks)
+        return max(power - self.normal.estimate(self.s, self.G, members).power - noise, 0.0)

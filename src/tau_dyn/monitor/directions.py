@@ -1,7 +1,7 @@
 """Possible changes of a robot and the forces that each adds: a few directions on which a user would act.
 
 friction         of one joint: the model's Coulomb and viscous friction times 1 + size (without a friction model: N or N m)
-payload          a point mass at the tool, or at the last link's joint [kg], and its moment along each axis [kg m]
+payload          a body at the tool, or at the last link's joint: its mass [kg], moments [kg m] and inertia [kg m^2]
 encoder_offset   of one joint: the forces of a position error [m or rad]
 delay            of all forces [s]
 """
@@ -15,7 +15,6 @@ import numpy as np
 
 from tau_dyn.diagnose import find_end_link
 from tau_dyn.effects import Motion
-from tau_dyn.mechanism import build_mechanism
 from tau_dyn.model import Model
 from tau_dyn.robot import INERTIAL, LinkInertia
 
@@ -23,7 +22,6 @@ _TYPICAL = {"friction": 0.3, "payload": 0.1, "encoder_offset": 0.02, "delay": 0.
 """Typical sizes: share of a joint's friction; of the robot's mass; [m or rad]; [s]. They regularise undetermined directions."""
 _FRICTION_SHARE = 0.05  # of a joint's rms force: typical Coulomb friction if the model has no friction
 _PAYLOAD_ARM_M = 0.1  # typical distance of a payload's centre from the tool [m]
-_PAYLOAD_STEP_M = 1e-3  # of its distance, for a finite difference [m]
 _OFFSET_STEP = 1e-5  # of an encoder's offset, for a finite difference [m or rad]
 _MIN_EFFECT = 1e-6  # force of a typical size, relative to all forces, below which it is not detectable
 _LAWS = ("coulomb", "coulomb_pos", "coulomb_neg", "viscous", "viscous_pos", "viscous_neg")
@@ -33,11 +31,15 @@ CAUSES = {
     "friction": ("friction_change", 1.0),
     "payload": ("payload", 1.0),
     "payload_moment": ("payload", 1.0),
+    "payload_inertia": ("payload", 1.0),
     "encoder_offset": ("joint_zero", -1.0),
     "delay": ("delay", 1.0),
 }
 """Name of each kind of change in the catalogue of causes, and the sign of its amplitude there: `joint_zero` is added to logged
 positions, `encoder_offset` to the positions at which the forces are."""
+
+_PAYLOAD_PARTS = ("payload_moment", "payload_inertia")
+"""Changes that are never reported alone: they belong to the body whose mass is."""
 
 
 class Direction(NamedTuple):
@@ -72,7 +74,7 @@ def compute_direction_columns(
     """
     rigid = model.mechanism.inverse_dynamics(motion.q, motion.v, motion.a)
     found = _list_friction(model, motion, forces)
-    found += [*_list_payload(model, motion, rigid), *_list_offsets(model, motion, rigid)]
+    found += [*_list_payload(model, motion), *_list_offsets(model, motion, rigid)]
     found.append((Direction("delay", "", "s", _TYPICAL["delay"]), -np.gradient(forces, dt, axis=0)))
     return tuple(d for d, _ in found), np.stack([column for _, column in found], axis=2)
 
@@ -103,46 +105,38 @@ def _list_friction(model: Model, motion: Motion, forces: np.ndarray) -> list[tup
     return found
 
 
-def _list_payload(model: Model, motion: Motion, rigid: np.ndarray) -> list[tuple[Direction, np.ndarray]]:
-    """Return the forces of a point mass at the tool and of its distance from there; an empty list if the robot has several ends.
+def _list_payload(model: Model, motion: Motion) -> list[tuple[Direction, np.ndarray]]:
+    """Return the forces of a body: of a point mass at the tool, of moments and inertia beyond it; an empty list for several ends.
 
     If centre and inertia of the link follow its mass, as for a plate that never turns, only the mass changes.
     """
     body = find_end_link(model.robot)
-    if body is None:
+    if body is None or body.own[0] != 0:
         return []
-    whole = len(body.own) == len(INERTIAL)
-    tool = _find_tool(model, body)
-    point = _describe_point(tool) if whole else np.eye(len(INERTIAL))[0]
-    column = _add_body(model, body, point, motion) - rigid
+    names = [model.robot.parameters.names.index(name) for name in body.names]
+    columns = model.mechanism.regressor(motion.q, motion.v, motion.a)[:, :, names]
     masses = [link.map @ model.robot.parameters.select(link.names).values for link in model.robot.links]
     typical = _TYPICAL["payload"] * float(sum(max(pi[0], 0.0) for pi in masses)) or 1.0
-    found = [(Direction("payload", "", "kg", typical), column)]
-    for axis in np.eye(3) if whole else ():
-        away = _add_body(model, body, _describe_point(tool + _PAYLOAD_STEP_M * axis), motion) - rigid
-        moment = Direction("payload_moment", "", "kg m", _PAYLOAD_ARM_M * typical)
-        found.append((moment, (away - column) / _PAYLOAD_STEP_M))
-    return found
-
-
-def _add_body(model: Model, body: LinkInertia, added: np.ndarray, motion: Motion) -> np.ndarray:
-    """Return the rigid-body forces (N, na) with inertial numbers (10,) added to a link."""
-    parameters = model.robot.parameters
-    changed = {name: parameters[name].value + float(added[k]) for name, k in zip(body.names, body.own, strict=True)}
-    heavier = build_mechanism(model.robot.with_parameters(parameters.with_values(changed)))
-    return heavier.inverse_dynamics(motion.q, motion.v, motion.a)
+    if len(body.own) < len(INERTIAL):
+        return [(Direction("payload", "", "kg", typical), columns[:, :, 0])]
+    moment = Direction("payload_moment", "", "kg m", _PAYLOAD_ARM_M * typical)
+    inertia = Direction("payload_inertia", "", "kg m^2", _PAYLOAD_ARM_M**2 * typical)
+    kinds = [Direction("payload", "", "kg", typical), *[moment] * 3, *[inertia] * 6]
+    numbers = np.eye(len(INERTIAL))
+    numbers[:, 0] = _describe_point(_find_tool(model, body))
+    return list(zip(kinds, np.moveaxis(columns @ numbers, 2, 0), strict=True))
 
 
 def list_named(directions: Sequence[Direction]) -> list[Direction]:
     """Return the directions that are reported: each change once."""
-    return [d for d in directions if d.what != "payload_moment"]
+    return [d for d in directions if d.what not in _PAYLOAD_PARTS]
 
 
 def group_payload(directions: Sequence[Direction]) -> tuple[int, ...]:
     """Return the indices of the directions of one body at the tool, its mass first; empty if no mass is monitored."""
     mass = [k for k, d in enumerate(directions) if d.what == "payload"]
-    moments = [k for k, d in enumerate(directions) if d.what == "payload_moment"]
-    return (*mass, *moments) if mass and moments else ()
+    parts = [k for k, d in enumerate(directions) if d.what in _PAYLOAD_PARTS]
+    return (*mass, *parts) if mass and parts else ()
 
 
 def _find_tool(model: Model, body: LinkInertia) -> np.ndarray:

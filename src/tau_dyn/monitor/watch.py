@@ -144,10 +144,12 @@ def build_change_finding(change: DetectedChange, directions: Sequence[Direction]
     size = Parameter(name, CAUSES[d.what][1] * change.size, d.unit, stderr=change.stderr, origin=d.cause)
     others = dict.fromkeys(directions[k].cause for k in change.twins)
     amount = f"{change.size:+.3g} {d.unit}".removesuffix(" 1")
+    loaded = any(directions[k].what == "payload" for k in change.beside)
+    why = "its size is that of the robot without the payload that changed at the same time" if loaded else ""
     return Finding(
         d.cause,
         (d.joint,) if d.joint else (),
-        "parameter",
+        "suspected" if why else "parameter",
         change.statistic,
         float(-np.expm1(-change.false_alarms_per_hour * watched_h)),
         (size,),
@@ -155,6 +157,7 @@ def build_change_finding(change: DetectedChange, directions: Sequence[Direction]
         tuple(cause for cause in others if cause != d.cause),
         (PARAMETER_CAUSES | {n: effect.equation for n, effect in EFFECTS.items()})[d.cause],
         f"{d.words[:1].upper()}{d.words[1:]} changes by {amount} since t = {change.since_t:.4g} s of {change.since_log}.",
+        why_not_confirmed=why,
         logs=tuple(dict.fromkeys((change.since_log, change.detected_log))),
     )
 
@@ -356,4 +359,4 @@ def compute_score(block: _Block, noise: Sequence[Autoregression]) -> BlockScore:
     run = RegressionRun(block.log, block.t, block.X, block.e, block.usable, block.X, block.e)
     whiten = Whitener.of([run], [block.usable], noise)
     e, X = whiten([block.e]), whiten([block.X])
-    return BlockScore((float(block.t[0]), float(block.t[-1])), block.log, X.T @ e, X.T @ X)
+    return BlockScore((float(block.t[0]), float(block.t[-1])), block.log, X.T @ e, X.T @ X, float(e @ e), len(e))

@@ -6,5 +6,6 @@ from .rigid_fit import Misfit as Misfit, measure_misfit as measure_misfit
 from .search import (
     FoundReading as FoundReading,
     find_reading as find_reading,
+    is_explained as is_explained,
     measure_as_written as measure_as_written,
 )

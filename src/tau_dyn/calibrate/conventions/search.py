@@ -175,8 +175,7 @@ class _Search:
             return None
         size = self.poses.spread if found.rotation is None else np.sqrt(self.poses.spread * _ALIKE_RAD)
         log_p = found.n_numbers * float(np.log(size / max(found.value, 1e-300)))
-        power = np.square([found.position / found.spread, found.rotation or 0.0])
-        return ReadingFit(log_p, log_p, power, 0.0, found.distances[:, None])
+        return ReadingFit(log_p, log_p, _compute_power(found), 0.0, found.distances[:, None])
 
     def compute_log_p(self, reading: Reading) -> float:
         """Return the log-likelihood of a reading [nats]; a robot that explains no part of the poses has 0."""
@@ -185,8 +184,7 @@ class _Search:
 
     def is_plausible(self, reading: Reading, share: float = _TEST.max_good_share) -> bool:
         """Return whether the robot file's dimensions explain the misfit of a reading."""
-        fit = self.fit(reading)
-        return fit is not None and bool(np.all(fit.power <= (share * _TEST.size) ** 2))
+        return is_explained(self.measure(reading), share)
 
     def _measure(self, poses: PoseSet) -> Misfit:
         """Return the misfit of poses in the intended convention."""
@@ -211,6 +209,18 @@ def _get_key(reading: Reading) -> frozenset[int]:
 def _is_reached(first: Predicted) -> bool:
     """Return whether a robot reaches enough of the first poses to compute the others."""
     return bool(2 * first.ok.sum() >= len(first.ok))
+
+
+def is_explained(misfit: Misfit, share: float = _TEST.max_good_share) -> bool:
+    """Return whether a machine that is built off its drawing by a share of its workspace has such a misfit."""
+    if not (np.isfinite(misfit.position) and misfit.spread > 0):
+        return False
+    return bool(np.all(_compute_power(misfit) <= (share * _TEST.size) ** 2))
+
+
+def _compute_power(misfit: Misfit) -> np.ndarray:
+    """Return the squared errors of position, as a share of the spread, and orientation [rad]."""
+    return np.square([misfit.position / misfit.spread, misfit.rotation or 0.0])
 
 
 def measure_as_written(geometry: Geometry, poses: PoseSet, limits: tuple[np.ndarray, np.ndarray]) -> Misfit:
