@@ -162,11 +162,11 @@ class SpringProblem:
         return springs
 
     def transform_all(self, share: float) -> list[list[Spectrum]]:
-        """Return the transforms of all stretches by record, under a window of a share of the band."""
+        """Return the transforms of all stretches by record, under a window of a share of the record's band."""
         found = []
         for record in self.records:
-            bands = [transform(piece).s.imag.max() for piece in record.pieces]
-            found.append([transform(x, share * w) for x, w in zip(record.pieces, bands, strict=True)])
+            band = max(transform(piece).s.imag.max() for piece in record.pieces) if share else 0.0
+            found.append([transform(piece, share * band) for piece in record.pieces])
         return found
 
     def descend(
@@ -207,8 +207,7 @@ class SpringProblem:
         cost, information, gradient, used = float(away @ away), np.diag(spread**-2), away / spread, []
         for record, model, some in zip(self.records, self.models, spectra, strict=True):
             at, slopes = self._set(model, record, theta)
-            for spectrum in some:
-                found = at.respond(spectrum)
+            for spectrum, found in zip(some, at.respond(some), strict=True):
                 nuisance, n_known = _list_nuisance(at, spectrum, found)
                 residual = spectrum.y - found.value
                 if noise is None:
@@ -217,8 +216,9 @@ class SpringProblem:
                     used.append(noise[len(used)])
                 by_stiffness = found.differentiate(at.parameters)
                 columns = by_stiffness @ slopes[0] + (spectrum.s[:, None, None] * by_stiffness) @ slopes[1]
-                both = np.concatenate([residual[:, :, None], columns], axis=2) / used[-1][:, :, None]
-                gram = _compute_gram(_stack(both), _stack(nuisance / used[-1][:, :, None]), n_known)
+                both = np.concatenate([residual[:, :, None], columns], axis=2)
+                rows, ends = (_stack(_weigh(x, used[-1], spectrum.s)) for x in (both, nuisance))
+                gram = _compute_gram(rows, ends, n_known)
                 cost += float(gram[0, 0])
                 information += gram[1:, 1:]
                 gradient = gradient - gram[1:, 0]
@@ -275,12 +275,12 @@ class SpringProblem:
         for record, model, spectra in zip(self.records, self.models, self.transform_all(0.0), strict=True):
             at, _ = self._set(model, record, theta)
             missed, size = np.zeros((2, len(record.outputs)))
-            for spectrum in spectra:
-                found = at.respond(spectrum)
+            for spectrum, found in zip(spectra, at.respond(spectra), strict=True):
                 nuisance, n_known = _list_nuisance(at, spectrum, found)
                 residual = spectrum.y - found.value
                 sigma = _estimate_noise(spectrum, residual, nuisance, n_known)
-                missed += np.sum(np.abs(_project(residual, nuisance, n_known, sigma)) ** 2, axis=0)
+                left = _project(residual, nuisance, n_known, sigma, spectrum.s)
+                missed += np.sum(np.abs(left) ** 2, axis=0)
                 size += np.sum(np.abs(spectrum.y) ** 2, axis=0)
             springs = at.parameters[: len(self.fitted)]
             held = np.ix_(springs, springs)
@@ -296,7 +296,7 @@ def _list_nuisance(at: PoseModel, spectrum: Spectrum, found: Responses) -> tuple
     """Return columns (F, p, c) of ends and of the force's errors in contact, and how many of the last ones have a prior."""
     if spectrum.s.real.any():
         return np.zeros((*spectrum.y.shape, 0)), 0
-    by_force = found.gain[:, :, spectrum.error_inputs] * spectrum.errors[:, None]
+    by_force = found.by_error * spectrum.errors[:, None]
     return np.concatenate([at.build_end_columns(spectrum, found), by_force], axis=2), by_force.shape[2]
 
 
@@ -305,8 +305,9 @@ def _estimate_noise(spectrum: Spectrum, residual: np.ndarray, nuisance: np.ndarr
     size = np.sqrt(np.mean(np.abs(spectrum.y) ** 2, axis=0))
     if spectrum.s.real.any():
         return np.hypot(ROUGH_ERROR * np.abs(spectrum.y), ROUGH_FLOOR * size)
-    power = np.abs(_project(residual, nuisance, n_known, np.broadcast_to(size, residual.shape))) ** 2 / 2
-    lost = 1 - (nuisance.shape[2] - n_known) / (2 * residual.size)
+    left = _project(residual, nuisance, n_known, np.broadcast_to(size, residual.shape), spectrum.s)
+    power = np.abs(left) ** 2 / 2
+    lost = 1 - (nuisance.shape[2] - n_known + 2 * residual.shape[1]) / (2 * residual.size)
     lines = min(len(power), max(MIN_AVERAGED_LINES, len(power) // 10))
     return np.sqrt(
         uniform_filter1d(power, lines, axis=0, mode="nearest") / max(lost, 0.1) + (NUMERICAL_NOISE * size) ** 2
@@ -319,11 +320,29 @@ def _stack(x: np.ndarray) -> np.ndarray:
     return np.concatenate([rows.real, rows.imag])
 
 
-def _project(residual: np.ndarray, nuisance: np.ndarray, n_known: int, sigma: np.ndarray) -> np.ndarray:
-    """Return residuals (F, p) without the part that nuisance columns (F, p, m) explain at a standard deviation (F, p)."""
-    rows, columns = _stack(residual[:, :, None] / sigma[:, :, None])[:, 0], _stack(nuisance / sigma[:, :, None])
-    c = _solve_nuisance(columns, n_known, columns.T @ rows)
-    return residual - nuisance @ c
+def _weigh(x: np.ndarray, sigma: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Return (F, p, c) over the standard deviation (F, p), without what offsets `a_p + b_p s` of the outputs explain.
+
+    On the imaginary axis an offset is real and a slope imaginary, so that each is one sum. Windowed stretches have none.
+    """
+    x = x / sigma[:, :, None]
+    if s.real.any():
+        return x
+    return _leave_out(x.real, 1 / sigma) + 1j * _leave_out(x.imag, s.imag[:, None] / sigma)
+
+
+def _leave_out(x: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Return (F, p, c) without the multiple of a column (F, p) that explains each output."""
+    share = np.einsum("fp,fpc->pc", column, x) / np.sum(column**2, axis=0)[:, None]
+    return x - column[:, :, None] * share
+
+
+def _project(residual: np.ndarray, nuisance: np.ndarray, n_known: int, sigma: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """Return residuals (F, p) without the part that nuisance columns (F, p, m) and offsets explain at a deviation (F, p)."""
+    rows, columns = (_weigh(x, sigma, s) for x in (residual[:, :, None], nuisance))
+    flat = _stack(columns)
+    c = _solve_nuisance(flat, n_known, flat.T @ _stack(rows)[:, 0])
+    return sigma * (rows[:, :, 0] - columns @ c)
 
 
 def _compute_gram(rows: np.ndarray, nuisance: np.ndarray, n_known: int) -> np.ndarray:

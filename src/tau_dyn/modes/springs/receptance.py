@@ -64,13 +64,20 @@ class PoseModel:
         D[self.parameters, self.parameters] = damping
         return replace(self, K=K, D=D)
 
-    def respond(self, spectrum: Spectrum) -> Responses:
-        """Return the outputs (F, p) at the inputs of a stretch, and what derivatives need."""
-        forced, by_output = self._solve(spectrum.s)
-        lift = spectrum.s[:, None] ** self.orders
-        x = np.einsum("fnm,fm->fn", forced, spectrum.u)
-        gain = lift[:, :, None] * (self.C @ forced)
-        return Responses(np.einsum("fpm,fm->fp", gain, spectrum.u), gain, lift, x, by_output)
+    def respond(self, spectra: Sequence[Spectrum]) -> list[Responses]:
+        """Return the outputs at the inputs of stretches, and what derivatives need; stretches share their lines."""
+        lines, at = np.unique(np.concatenate([x.s for x in spectra]), return_inverse=True)
+        forced, by_output = self._solve(lines)
+        lift = lines[:, None] ** self.orders
+        gain, out = lift[:, :, None] * (self.C @ forced), []
+        for spectrum, rows in zip(spectra, np.split(at, np.cumsum([len(x.s) for x in spectra])[:-1]), strict=True):
+            acting = np.flatnonzero(np.any(spectrum.u, axis=0))
+            u = spectrum.u[:, acting]
+            x = np.einsum("fnm,fm->fn", forced[np.ix_(rows, range(forced.shape[1]), acting)], u)
+            value = np.einsum("fpm,fm->fp", gain[np.ix_(rows, range(gain.shape[1]), acting)], u)
+            by_error = gain[np.ix_(rows, range(gain.shape[1]), spectrum.error_inputs)]
+            out.append(Responses(value, by_error, lift[rows], x, by_output[rows]))
+        return out
 
     def _solve(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return `H B` (F, n, m) and `H C'` (F, n, p)."""
@@ -88,7 +95,10 @@ class PoseModel:
         return both[:, :, :m], both[:, :, m:]
 
     def build_end_columns(self, spectrum: Spectrum, found: Responses) -> np.ndarray:
-        """Return the effect (F, p, c) of jumps between a stretch's ends, of the modes that may ring there, and of offsets."""
+        """Return the effect (F, p, c) of jumps between a stretch's ends, of the modes that may ring there.
+
+        Offsets `a_p + b_p s` of each output are left to the caller.
+        """
         squares, shapes = eigh(self.K, self.M)
         w = np.sqrt(np.abs(squares))
         decay = np.einsum("ij,ij->j", shapes, self.D @ shapes) / 2
@@ -99,10 +109,7 @@ class PoseModel:
         by_place = s * by_speed + by_damping
         first, second = (self.orders[:, None] == k for k in (1, 2))
         lift = found.lift[:, :, None]
-        columns = [lift * by_speed + second * CP, lift * by_place + first * CP + s * second * CP]
-        eye = np.eye(len(self.orders))
-        columns += [np.broadcast_to(eye, (len(s), *eye.shape)), s * eye]
-        return np.concatenate(columns, axis=2)
+        return np.concatenate([lift * by_speed + second * CP, lift * by_place + first * CP + s * second * CP], axis=2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,14 +118,14 @@ class Responses:
 
     Attributes:
         value: Outputs (F, p).
-        gain: Output per input (F, p, m).
+        by_error: Output per input whose force has errors (F, p, e).
         lift: `s^n` of each output (F, p).
         x: Coordinates (F, n).
         by_output: `H C'` (F, n, p).
     """
 
     value: np.ndarray
-    gain: np.ndarray
+    by_error: np.ndarray
     lift: np.ndarray
     x: np.ndarray
     by_output: np.ndarray
