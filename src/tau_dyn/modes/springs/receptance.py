@@ -73,9 +73,9 @@ class PoseModel:
         for spectrum, rows in zip(spectra, np.split(at, np.cumsum([len(x.s) for x in spectra])[:-1]), strict=True):
             acting = np.flatnonzero(np.any(spectrum.u, axis=0))
             u = spectrum.u[:, acting]
-            x = np.einsum("fnm,fm->fn", forced[np.ix_(rows, range(forced.shape[1]), acting)], u)
-            value = np.einsum("fpm,fm->fp", gain[np.ix_(rows, range(gain.shape[1]), acting)], u)
-            by_error = gain[np.ix_(rows, range(gain.shape[1]), spectrum.error_inputs)]
+            x = np.einsum("fnm,fm->fn", forced[rows][:, :, acting], u)
+            value = np.einsum("fpm,fm->fp", gain[rows][:, :, acting], u)
+            by_error = gain[rows][:, :, spectrum.error_inputs]
             out.append(Responses(value, by_error, lift[rows], x, by_output[rows]))
         return out
 
