@@ -130,7 +130,10 @@ def _joint(name: str, kind: str, parent: str, child: str, axis: str, xyz: str, h
         f'<axis xyz="{axis}"/><limit lower="-4" upper="4" velocity="9" effort="200"/></joint>'
         f'<tau_dyn:home joint="{name}" value="{home:.12g}"/>'
     )
-    drive = f'<transmission name="{name}_t"><type>SimpleTransmission</type><joint name="{name}"/><actuator name="{name}_m"/></transmission>'
+    drive = (
+        f'<transmission name="{name}_t"><type>SimpleTransmission</type><joint name="{name}"/><actuator name="{name}_m"/>'
+        "</transmission>"
+    )
     return text + (drive if driven else "")
 
 
@@ -146,7 +149,7 @@ RAILS = ("rail1", "rail2")
 
 
 def write_three_arms(scale: float = 1.0) -> str:
-    """Return the URDF of the three arms, all masses times a scale; the tip's mass belongs to the first coupler."""
+    """Return the URDF of the three arms, all masses times a scale; the tip is part of the first coupler."""
     crank, coupler = compute_angles(HOME)
     parts = []
     for k, (x, z) in enumerate(SHOULDERS):
@@ -168,6 +171,18 @@ def write_three_arms(scale: float = 1.0) -> str:
         if k:
             parts.append(_ball("coupler1", f"coupler{name}", f"{COUPLER} 0 0", f"{COUPLER} 0 0"))
     return f'<robot name="three_arms" {_SPACES}><link name="base"/>{"".join(parts)}</robot>'
+
+
+def write_dead_centre() -> str:
+    """Return the URDF of a slider with a motor, whose crank and coupler are in line at home."""
+    parts = [
+        _link("crank", 1.0, 0.1, 0.01), _link("coupler", 1.0, 0.2, 0.02), _link("slider", 2.0, 0.0, 0.02),
+        _joint("crank_turn", "revolute", "base", "crank", "0 0 1", "0 0 0", 0.0, False),
+        _joint("coupler_turn", "revolute", "crank", "coupler", "0 0 1", "0.2 0 0", 0.0, False),
+        _joint("slide", "prismatic", "base", "slider", "1 0 0", "0.6 0 0", 0.0, True),
+        _ball("coupler", "slider", "0.4 0 0", "0 0 0"),
+    ]  # fmt: skip
+    return f'<robot name="slider_crank" {_SPACES}><link name="base"/>{"".join(parts)}</robot>'
 
 
 def write_cart() -> str:

@@ -1,23 +1,23 @@
 """Force inside a robot with more drives than freedoms: a constant preload of each redundant drive.
 
-With `B = [1; B_r]` the speeds of all n drives per actuated speed, `N = [-B_r'; 1]` spans the forces that move nothing, `B' N = 0`.
+With `B = [1; B_r]` the speeds of all n drives per actuated speed, `N = [-B_r'; 1]` spans the forces that move nothing.
 Measured forces without friction split into a share of the generalised forces and preloads `p` of the redundant drives:
 
     tau = B (B'B)^-1 Q + N p,    p = (N'N)^-1 N' tau = (1 + B_r B_r')^-1 (tau_r - B_r tau_a).
 
 A drive with preload p_i pushes p_i against the others, which balance it. Masses have no part in p: rigid-body forces are taken as
 shared by least squares, which depends on the units if slides and hinges are mixed. Friction that the identification determined is
-subtracted with its uncertainty. Coulomb and viscous friction of drives whose friction it determined in combination only, such as
-of two motors on one cart, is estimated here, the same in both directions; a constant offset between such drives counts as
-preload. Forces inside a real robot vary, by errors of its geometry and the stiffness of its drives: the preload is their mean, and
-their deviation from it is reported. Reference: Mueller 2005, on internal preload of redundantly actuated robots.
+subtracted with its covariance. Coulomb and viscous friction of drives whose friction it determined in combination only, as of
+two motors on one cart, is estimated here, the same in both directions; a constant offset between such drives counts as preload.
+Forces inside a real robot vary, by errors of its geometry and the stiffness of its drives: the preload is their mean, and their
+deviation from it is reported. Reference: Mueller 2005, on internal preload of redundantly actuated robots.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,8 +40,8 @@ from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.results import Z95
 
 ASSUMED = (
-    "Rigid-body forces are shared by least squares over all drives; the rest, without friction, is the preload. A constant offset "
-    "between drives whose friction is identifiable in combination only counts as preload"
+    "Rigid-body forces are shared by least squares over all drives; the rest, without friction, is the preload. A constant "
+    "offset between drives whose friction is identifiable in combination only counts as preload"
 )
 
 
@@ -67,6 +67,22 @@ class InternalForce:
         return {"preloads": rows, "assumed": ASSUMED}
 
 
+class _Friction(NamedTuple):
+    """Friction that an estimate determined: `values + root z` with independent `z` of unit variance.
+
+    Attributes:
+        names: Its parameters (k).
+        values: Their values (k,).
+        root: Square root of their covariance (k, k).
+        combined: Drives with friction that is identified in combination only.
+    """
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    root: np.ndarray
+    combined: tuple[str, ...]
+
+
 def estimate_internal_force(model: Model, estimate: Estimate, pieces: Sequence[Log]) -> InternalForce | None:
     """Return the preloads of redundant drives; None for a robot without such drives, or if the logs' rows are on disk.
 
@@ -81,28 +97,34 @@ def estimate_internal_force(model: Model, estimate: Estimate, pieces: Sequence[L
     robot, preparation = model.robot, estimate.regression.preparation
     if not robot.redundant_joints or not pieces:
         return None
-    unknown = _list_unknowns(model, estimate)
-    runs = tuple(run for piece in pieces if (run := _build_run(model, piece, preparation, unknown)) is not None)
-    found = solve_least_squares(Regression(unknown, robot.redundant_joints, robot.redundant_units, runs, preparation))
-    names = [f"{joint}.preload" for joint in robot.redundant_joints]
-    return InternalForce(found.parameters.select(names), found.sigma)
-
-
-def _list_unknowns(model: Model, estimate: Estimate) -> Parameters:
-    """Return preloads, friction that the estimate determined as measured beforehand, and friction of the other drives."""
-    robot = model.robot
-    units = dict(zip(robot.redundant_joints, robot.redundant_units, strict=True))
-    preloads = [Parameter(f"{joint}.preload", 0.0, unit) for joint, unit in units.items()]
-    units |= dict(zip(robot.actuated, robot.force_units, strict=True))
-    friction = estimate.parameters.select(n for effect in _list_friction(model) for n in effect.parameters.names)
-    combined = {p.name.rpartition(".")[0] for p in friction if p.stderr is None and p.free}
-    known = [
-        replace(p, prior_stderr=p.stderr, free=p.stderr is not None, lower=-np.inf, upper=np.inf)
-        for p in friction
-        if p.name.rpartition(".")[0] not in combined
+    known = _get_known_friction(model, estimate)
+    preloads = [
+        Parameter(f"{joint}.preload", 0.0, unit)
+        for joint, unit in zip(robot.redundant_joints, robot.redundant_units, strict=True)
     ]
-    again = SymmetricFriction(sorted(combined), [units[joint] for joint in sorted(combined)]).parameters
-    return Parameters([*preloads, *known, *(replace(p, lower=-np.inf) for p in again)])
+    uncertain = [Parameter(f"friction.{k}", 0.0, "1", prior_stderr=1.0) for k in range(len(known.names))]
+    again = SymmetricFriction(known.combined, ("N",) * len(known.combined)).parameters
+    unknown = Parameters([*preloads, *uncertain, *(replace(p, lower=-np.inf) for p in again)])
+    runs = [_build_run(model, piece, preparation, unknown, known) for piece in pieces]
+    outputs = robot.redundant_joints, robot.redundant_units
+    found = solve_least_squares(Regression(unknown, *outputs, tuple(r for r in runs if r is not None), preparation))
+    return InternalForce(found.parameters.select(p.name for p in preloads), found.sigma)
+
+
+def _get_known_friction(model: Model, estimate: Estimate) -> _Friction:
+    """Return the drives' friction that an estimate determined; all of a drive's own is left out if some of it is combined."""
+    friction = [p for effect in _list_friction(model) for p in effect.parameters]
+    found = [
+        estimate.parameters[p.name] if p.name in estimate.parameters else p for p in friction
+    ]  # p: a value per log
+    combined = dict.fromkeys(p.name.rpartition(".")[0] for p in found if p.stderr is None and p.free)
+    known = [p for p in found if p.stderr is not None and p.name.rpartition(".")[0] not in combined]
+    rows = [estimate.base.names[column] for column in estimate.base.kept]
+    index = [rows.index(p.name) for p in known]
+    scale = np.array([p.stderr for p in known]) / np.sqrt(np.diag(estimate.cov)[index])
+    values, vectors = np.linalg.eigh(estimate.cov[np.ix_(index, index)] * np.outer(scale, scale))
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    return _Friction(tuple(p.name for p in known), np.array([p.value for p in known]), root, tuple(combined))
 
 
 def _list_friction(model: Model) -> list[JointwiseEffect]:
@@ -132,7 +154,9 @@ def _compute_friction_columns(model: Model, motion: Motion) -> dict[str, np.ndar
     return found
 
 
-def _build_run(model: Model, piece: Log, preparation: Preparation, unknown: Parameters) -> RegressionRun | None:
+def _build_run(
+    model: Model, piece: Log, preparation: Preparation, unknown: Parameters, known: _Friction
+) -> RegressionRun | None:
     """Return the regression of the preloads on one even stretch; None if no sample is left."""
     robot = model.robot
     prepared = prepare_segment(model, piece, preparation, needs=(REDUNDANT,))
@@ -143,13 +167,12 @@ def _build_run(model: Model, piece: Log, preparation: Preparation, unknown: Para
     both = np.eye(rates.shape[1]) + rates @ rates.swapaxes(1, 2)
     inside = np.linalg.solve(both, np.concatenate([-rates, np.broadcast_to(np.eye(len(own.T)), both.shape)], axis=2))
     measured = np.einsum("nrk,nk->nr", inside, np.concatenate([single, own], axis=1))
-    made = _compute_friction_columns(model, motion)
-    columns = np.zeros((*measured.shape, len(unknown)))
-    for c, name in enumerate(unknown.names):
-        if name in made:
-            columns[:, :, c] = np.einsum("nrk,nk->nr", inside, made[name])
-        else:
-            columns[:, robot.redundant_joints.index(name.removesuffix(".preload")), c] = 1.0
+    made = {k: np.einsum("nrk,nk->nr", inside, x) for k, x in _compute_friction_columns(model, motion).items()}
+    of_known = np.stack([made[name] for name in known.names], axis=2) if known.names else np.zeros((*measured.shape, 0))
+    measured = measured - of_known @ known.values
+    preloads = np.broadcast_to(np.eye(len(own.T)), (*measured.shape, len(own.T)))
+    rest = [made[name][:, :, None] for name in unknown.names[len(own.T) + len(known.names) :]]
+    columns = np.concatenate([preloads, of_known @ known.root, *rest], axis=2)
     gate = np.repeat(prepared.gate.min(axis=1, keepdims=True), len(own.T), axis=1)
     share = prepared.passed(gate)
     usable = (share > MIN_SHARE) & prepared.usable.all(axis=1, keepdims=True)

@@ -54,6 +54,7 @@ class LoopGap:
     """The loops' gaps of one tree over the positions of its joints `x` (nv,), turns in rad."""
 
     def __init__(self, robot: Robot) -> None:
+        """Find the joints' places, limits and followers, and the file's home."""
         self.robot, self.data = robot, robot.model.createData()
         share, offset = robot.coupling
         self.share, self.offset = share, offset

@@ -148,6 +148,14 @@ class Robot(Shown):
         return _get_force_units(self._get_kinds(self.redundant_joints))
 
     @property
+    def merged_links(self) -> dict[str, str]:
+        """The links with mass that are fixed to another one, by name, and the link whose parameters contain theirs."""
+        owners = {link.joint_id: link.link for link in self.links}
+        bodies = [f for f in self.model.frames if f.type == pin.FrameType.BODY and f.parentJoint in owners]
+        heavy = [(f.name, owners[f.parentJoint]) for f in bodies if f.inertia.mass > 0]
+        return {name: owner for name, owner in heavy if name != owner}
+
+    @property
     def driven(self) -> tuple[str, ...]:
         """Names of the joints with a motor: the actuated ones except the coordinates of a floating base."""
         return self.actuated[len(self.base_coordinates) :]
@@ -307,8 +315,10 @@ class Robot(Shown):
         wanted = {n for n in names if n not in self.parameters}
         possible = {f"{li.link}.{quantity}" for li in self.links for quantity in INERTIAL}
         for name in wanted - possible:
+            owner = self.merged_links.get(name.rpartition(".")[0])
+            part = f". {name.rpartition('.')[0]} is part of {owner}" if owner else ""
             raise UnknownName(
-                "parameter", name, [*self.parameters.names, *sorted(possible - set(self.parameters.names))]
+                "parameter", name, [*self.parameters.names, *sorted(possible - set(self.parameters.names))], more=part
             )
         links = []
         for link in self.links:
