@@ -190,7 +190,8 @@ def diagnose_drives(robot: Robot | Identification, logs: Logs, **options: Any) -
         f"{' and '.join(machine.actuated)} ({one.extended.relative_error_percent:.3g} % left)"
         for machine, one in zip((robot, *others), found, strict=True)
     ]
-    sentence = f"causes were looked for at {'; at '.join(errors)}; reported are those at {' and '.join(best.model.robot.actuated)}"
+    where = " and ".join(best.model.robot.actuated)
+    sentence = f"causes were looked for at {'; at '.join(errors)}; reported are those at {where}"
     return replace(best, warnings=(*best.warnings, CodedWarning("redundant_drives", sentence)))
 
 

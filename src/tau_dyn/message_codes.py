@@ -161,12 +161,8 @@ WARNING_CODES: dict[str, MessageCode] = {
         "positions of drives follow over a loop from those of its other joints",
         "no action, if those encoders' signs and zeros are the robot file's",
     ),
-    "forces_projected": MessageCode(
-        "forces of drives beyond the robot's freedoms are added to those of the others through the loops", "no action"
-    ),
     "redundant_drives": MessageCode(
-        "a robot has more drives than freedoms; forces are generalised ones of all drives",
-        "log every drive's force; `internal_force` in the result is their preload",
+        "more drives than freedoms: forces are generalised ones of all drives", "log every drive's force"
     ),
     "prediction_missed": MessageCode(
         "a trial of `learn` ended above its predicted interval", "the sentence names the change"

@@ -116,7 +116,7 @@ def test_a_log_that_lacks_a_drives_force_is_refused(arms) -> None:
 def test_forces_are_projected_once(arms) -> None:
     """A projected log is marked, and stays as it is."""
     (once,) = complete_positions(arms, [log_arms(arms, np.arange(0, 1, 0.01))])
-    assert [get_code(w) for w in once.warnings] == ["forces_projected"]
+    assert [get_code(w) for w in once.warnings] == ["redundant_drives"]
     assert complete_positions(arms, [once]) == [once]
 
 

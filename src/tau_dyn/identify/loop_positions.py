@@ -24,7 +24,7 @@ from tau_dyn.message_codes import CodedWarning, get_code
 from tau_dyn.robot import Robot
 
 AnyLog = TypeVar("AnyLog", bound=Log | Recording)
-_PROJECTED = "forces_projected"
+_PROJECTED = "redundant_drives"
 """Code of the warning that marks a log whose forces are generalised ones."""
 
 

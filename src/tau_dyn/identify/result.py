@@ -267,6 +267,7 @@ class Identification(Shown):
             **({"per_log": [one.to_dict() for one in self.per_log]} if self.per_log else {}),
             **({"motors": [_build_motor_row(p) for p in self.motors]} if len(self.motors) else {}),
             **({} if self.internal_force is None else {"internal_force": self.internal_force.to_dict()}),
+            **({"merged_links": merged} if (merged := self.model.robot.merged_links) else {}),
             "correlation": self.estimate.correlation.tolist(),
             "equivalent_descriptions": list(self.equivalent),
             "train": self.train.to_dict(),
