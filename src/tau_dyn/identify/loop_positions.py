@@ -24,8 +24,6 @@ from tau_dyn.message_codes import CodedWarning, get_code
 from tau_dyn.robot import Robot
 
 AnyLog = TypeVar("AnyLog", bound=Log | Recording)
-_PROJECTED = "redundant_drives"
-"""Code of the warning that marks a log whose forces are generalised ones."""
 
 
 def complete_positions(robot: Robot, logs: Sequence[AnyLog]) -> list[AnyLog]:
@@ -64,7 +62,7 @@ def _project_forces(robot: Robot, log: AnyLog) -> AnyLog:
             "unsupported",
             f"{log.name} is larger than memory, and the robot has more drives than freedoms; give an excerpt",
         )
-    done = any(get_code(warning) == _PROJECTED for warning in log.warnings)
+    done = any(get_code(warning) == "redundant_drives" for warning in log.warnings)
     if done or not log.has("q", robot.actuated) or not any(log.has("tau", [joint]) for joint in drives):
         return log
     missing = [f"tau_{joint}" for joint in drives if not log.has("tau", [joint])]
@@ -83,7 +81,9 @@ def _project_forces(robot: Robot, log: AnyLog) -> AnyLog:
         f"{log.name}: forces of {', '.join(robot.redundant_joints)} are added to those of {', '.join(robot.actuated)} through "
         "the loops"
     )
-    return replace(log, channels={**kept, **changed}, warnings=(*log.warnings, CodedWarning(_PROJECTED, sentence)))
+    return replace(
+        log, channels={**kept, **changed}, warnings=(*log.warnings, CodedWarning("redundant_drives", sentence))
+    )
 
 
 def _complete(robot: Robot, others: Sequence[str], log: Log) -> Log:
