@@ -174,12 +174,13 @@ def write_three_arms(scale: float = 1.0) -> str:
 
 
 def write_dead_centre() -> str:
-    """Return the URDF of a slider with a motor, whose crank and coupler are in line at home."""
+    """Return the URDF of a slider with a motor, whose crank and coupler are in line at home, and of a lift beside it."""
     parts = [
         _link("crank", 1.0, 0.1, 0.01), _link("coupler", 1.0, 0.2, 0.02), _link("slider", 2.0, 0.0, 0.02),
         _joint("crank_turn", "revolute", "base", "crank", "0 0 1", "0 0 0", 0.0, False),
         _joint("coupler_turn", "revolute", "crank", "coupler", "0 0 1", "0.2 0 0", 0.0, False),
         _joint("slide", "prismatic", "base", "slider", "1 0 0", "0.6 0 0", 0.0, True),
+        _link("platform", 2.0, 0.0, 0.02), _joint("lift", "prismatic", "base", "platform", "0 0 1", "1 0 0", 0.0, True),
         _ball("coupler", "slider", "0.4 0 0", "0 0 0"),
     ]  # fmt: skip
     return f'<robot name="slider_crank" {_SPACES}><link name="base"/>{"".join(parts)}</robot>'

@@ -278,10 +278,14 @@ class Mechanism(ABC):
         For each drive its speed per actuated speed (na), its speed and its acceleration [m or rad, per s and s^2].
 
         Raises:
-            InputError: The equations are a closed form or generated code, which have no such drives.
+            InputError: The equations are those of generated code, which has no such drives.
         """
         if self.robot.redundant_joints:
-            raise InputError("unsupported", f"{self.robot.source}: these equations have no more drives than freedoms")
+            raise InputError(
+                "unsupported",
+                f"{self.robot.source}: generated code is for robots with as many drives as freedoms, and "
+                f"{', '.join(self.robot.redundant_joints)} is more",
+            )
         return np.zeros((len(np.atleast_2d(q)), 0, self.robot.na + 2))
 
     @abstractmethod

@@ -239,7 +239,6 @@ def load_robot_from_urdf(
     )
     independent = find_independent_drives(found, [n for n in wanted or names if n in names])
     if independent == names:
-        _require_passive_joint(found)
         return close_home(found) if loops else found
     fewer = load_robot_from_urdf(
         urdf,
@@ -259,7 +258,8 @@ def _with_all_drives(fewer: Robot, found: Robot) -> Robot:
     others = [name for name in found.actuated if name not in fewer.actuated]
     sentence = (
         f"{found.source}: {len(found.actuated)} drives and {count(fewer.na, 'independent motion')}: "
-        f"{', '.join(others)} follow {', '.join(fewer.actuated)} through the loops; log the forces of all of them. "
+        f"{', '.join(others)} {'follows' if len(others) == 1 else 'follow'} {', '.join(fewer.actuated)} through the loops; log "
+        "the forces of all of them. "
         f"Forces of {', '.join(fewer.actuated)} are generalised, tau_k + sum of tau_i dq_i/dq_k over {', '.join(others)}"
     )
     return replace(
@@ -269,15 +269,6 @@ def _with_all_drives(fewer: Robot, found: Robot) -> Robot:
         gear_ratios=found.gear_ratios,
         warnings=(*fewer.warnings, CodedWarning("redundant_drives", sentence)),
     )
-
-
-def _require_passive_joint(robot: Robot) -> None:
-    if robot.loops and not len(robot.passive_v):
-        raise InputError(
-            "robot_structure",
-            f"{robot.source}: no passive joint is left to close its loops, of {', '.join(robot.actuated)}; name only those "
-            "with a motor",
-        )
 
 
 def _require_actuated_springs(actuated: tuple[str, ...], notes: Annotations, where: str) -> tuple[Spring, ...]:
