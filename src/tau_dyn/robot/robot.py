@@ -150,10 +150,11 @@ class Robot(Shown):
     @property
     def merged_links(self) -> dict[str, str]:
         """The links with mass that are fixed to another one, by name, and the link whose parameters contain theirs."""
-        owners = {link.joint_id: link.link for link in self.links}
-        bodies = [f for f in self.model.frames if f.type == pin.FrameType.BODY and f.parentJoint in owners]
-        heavy = [(f.name, owners[f.parentJoint]) for f in bodies if f.inertia.mass > 0]
-        return {name: owner for name, owner in heavy if name != owner}
+        owners, frames = {link.joint_id: link.link for link in self.links}, self.model.frames
+        bodies = [f for f in frames if f.type == pin.FrameType.BODY and f.parentJoint in owners]
+        mounts = [(f, frames[f.parentFrame]) for f in bodies]
+        screwed = pin.FrameType.FIXED_JOINT  # Pinocchio keeps the mass behind it there
+        return {f.name: owners[f.parentJoint] for f, at in mounts if at.type == screwed and at.inertia.mass > 0}
 
     @property
     def driven(self) -> tuple[str, ...]:
