@@ -162,7 +162,7 @@ def diagnose(
     return diagnose_drives(machine, given, **options)
 
 
-def diagnose_drives(robot: Robot | Identification, logs: Logs, **options: Any) -> Diagnosis:
+def diagnose_drives(robot: Robot | Identification, logs: Sequence[Log | Recording], **options: Any) -> Diagnosis:
     """Find the errors of a model of forces; with more drives than freedoms, look for causes at each of the drives.
 
     A search looks at the actuated joints, and a cause at a redundant drive takes the name of another one there. So unless
