@@ -114,10 +114,15 @@ def test_a_log_that_lacks_a_drives_force_is_refused(arms) -> None:
 
 
 def test_forces_are_projected_once(arms) -> None:
-    """A projected log is marked, and stays as it is."""
+    """A projected log is marked and stays as it is; with other drives in the first place it is refused."""
     (once,) = complete_positions(arms, [log_arms(arms, np.arange(0, 1, 0.01))])
     assert [get_code(w) for w in once.warnings] == ["redundant_drives"]
     assert complete_positions(arms, [once]) == [once]
+    other = load_robot_from_urdf(
+        redundant.write_three_arms(), "arms.urdf", actuated=["shoulder3", "shoulder2", "shoulder1"]
+    )
+    with raises_code("unsupported", "as it was recorded"):
+        complete_positions(other, [once])
 
 
 def test_a_saved_model_keeps_its_drives(arms, tmp_path) -> None:

@@ -62,8 +62,11 @@ def _project_forces(robot: Robot, log: AnyLog) -> AnyLog:
             "unsupported",
             f"{log.name} is larger than memory, and the robot has more drives than freedoms; give an excerpt",
         )
-    done = any(get_code(warning) == "redundant_drives" for warning in log.warnings)
-    if done or not log.has("q", robot.actuated) or not any(log.has("tau", [joint]) for joint in drives):
+    how = f"forces of {', '.join(robot.redundant_joints)} are added to those of {', '.join(robot.actuated)} through the loops"
+    marks = [warning for warning in log.warnings if get_code(warning) == "redundant_drives"]
+    if marks and not any(mark.endswith(how) for mark in marks):
+        raise InputError("unsupported", f"{marks[0]}; give the log as it was recorded, or name the same drives first")
+    if marks or not log.has("q", robot.actuated) or not any(log.has("tau", [joint]) for joint in drives):
         return log
     missing = [f"tau_{joint}" for joint in drives if not log.has("tau", [joint])]
     if missing:
@@ -77,12 +80,10 @@ def _project_forces(robot: Robot, log: AnyLog) -> AnyLog:
     forces = log.joint("tau", robot.actuated) + np.einsum("nra,nr->na", rates, log.joint("tau", robot.redundant_joints))
     kept = {k: x for k, x in log.channels.items() if k not in {f"{s}_{j}" for s in RECORDED for j in drives}}
     changed = {f"tau_{joint}": forces[:, k] for k, joint in enumerate(robot.actuated)}
-    sentence = (
-        f"{log.name}: forces of {', '.join(robot.redundant_joints)} are added to those of {', '.join(robot.actuated)} through "
-        "the loops"
-    )
     return replace(
-        log, channels={**kept, **changed}, warnings=(*log.warnings, CodedWarning("redundant_drives", sentence))
+        log,
+        channels={**kept, **changed},
+        warnings=(*log.warnings, CodedWarning("redundant_drives", f"{log.name}: {how}")),
     )
 
 
