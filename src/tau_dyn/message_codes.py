@@ -161,6 +161,9 @@ WARNING_CODES: dict[str, MessageCode] = {
         "positions of drives follow over a loop from those of its other joints",
         "no action, if those encoders' signs and zeros are the robot file's",
     ),
+    "redundant_drives": MessageCode(
+        "more drives than freedoms: forces are generalised ones of all drives", "log every drive's force"
+    ),
     "prediction_missed": MessageCode(
         "a trial of `learn` ended above its predicted interval", "the sentence names the change"
     ),

@@ -17,6 +17,7 @@ import yaml
 
 from tau_dyn.effects import (
     DELIVERED,
+    REDUNDANT,
     SHIFTED_FORCE,
     Effect,
     Motion,
@@ -58,6 +59,7 @@ COMPUTED: dict[str, Callable[[Mechanism, np.ndarray, np.ndarray, np.ndarray], np
     "load": lambda mechanism, q, v, a: mechanism.guide_load(q, v, a),
     "reducer_torque": lambda mechanism, q, v, a: mechanism.reducer_torque(q, v, a),
     "passive": lambda mechanism, q, v, a: mechanism.passive_rates(q)[1],
+    REDUNDANT: lambda mechanism, q, v, a: mechanism.redundant_motion(q, v, a),
     "inertia": lambda mechanism, q, v, a: mechanism.inertia(q),
     "weight_gradient": lambda mechanism, q, v, a: mechanism.weight_gradient(q),
     "gravity_turn": lambda mechanism, q, v, a: mechanism.gravity_turn(q),
@@ -236,7 +238,16 @@ class Model(Shown):
         return found
 
     def residuals(self, log: LogSource) -> np.ndarray:
-        """Return measured minus predicted forces (N, na) [N or N m] at a log's samples; see `predict`."""
+        """Return measured minus predicted forces (N, na) [N or N m] at a log's samples; see `predict`.
+
+        Raises:
+            InputError: The robot has more drives than freedoms, so that the log's forces are not the predicted ones.
+        """
+        if self.robot.redundant_joints:
+            raise InputError(
+                "unsupported",
+                f"{self.robot.source}: predicted forces are generalised ones of all drives; compare_fit projects the log's",
+            )
         read = as_log(log)
         return read.joint("tau", self.robot.actuated) - self.predict(read)
 
@@ -318,7 +329,7 @@ class Model(Shown):
             "robot": {
                 "source": self.robot.source,
                 "arguments": dict(self.robot.arguments),
-                "actuated": list(self.robot.actuated),
+                "actuated": [*self.robot.actuated, *self.robot.redundant_joints],
                 "tool": self.robot.tool,
                 "sha256": self.robot.sha256,
             },

@@ -101,10 +101,10 @@ def test_a_folder_taken_meanwhile_is_kept(tmp_path: Path, monkeypatch, capsys) -
     assert json.loads((tmp_path / "run" / "run.json").read_text())["command"] == "check"
 
 
-def test_loops_that_nothing_closes_are_refused(capsys) -> None:
-    """With every joint actuated no passive one is left to follow."""
+def test_joints_of_a_loop_that_are_all_named_move_as_one(capsys) -> None:
+    """Three drives on the one freedom of a parallelogram: one position places them all, and three are too many."""
     argv = ["fk", "parallelogram", "--actuated", "crank", "plate_turn", "rod2_turn", "--q", "0", "0", "0"]
-    assert "no passive joint is left to close its loops" in refused(capsys, argv)
+    assert "--q: one value for each actuated joint (crank), not 3" in refused(capsys, argv)
 
 
 @pytest.mark.parametrize("host", ["203.0.113.7", "nobody.invalid", "256.1.1.1", "a\nb"])

@@ -9,7 +9,7 @@ from tau_dyn.exceptions import LoopClosureError
 from tau_dyn.mechanism.loops import LoopSolver
 from tau_dyn.message_codes import get_code
 from tau_dyn.robot import Robot, load_robot_from_urdf
-from tau_dyn.robot.closed_home import _Gap
+from tau_dyn.robot.closed_home import LoopGap
 
 CRANK, ROD = 0.35, 0.7
 
@@ -103,7 +103,7 @@ def test_joints_that_follow_a_drive_move_the_loops_along() -> None:
         write_five_bar(0.5).replace('<parent link="c2_link"/>', '<parent link="e_link"/>').replace("</robot>", follower)
     )
     robot = load_robot_from_urdf(text, "five bar")
-    gap, every = _Gap(robot), [int(k) for k in (*robot.passive_v, *robot.active_v)]
+    gap, every = LoopGap(robot), [int(k) for k in (*robot.passive_v, *robot.active_v)]
     assert close(robot)[0] < 1e-10 and len(every) == robot.model.nv - 1
     x, step = gap.follow(np.random.default_rng(3).uniform(-1, 1, robot.model.nv)), 1e-6
     slope = gap.differentiate(x, every)

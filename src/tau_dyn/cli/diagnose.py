@@ -51,7 +51,8 @@ def diagnose(
     """
     with show_progress(output.quiet) as step:
         step("loading")
-        from tau_dyn.diagnose import add_simulation, diagnose as diagnose_robot
+        from tau_dyn.by_measurement import diagnose_drives
+        from tau_dyn.diagnose import add_simulation
         from tau_dyn.servo import diagnose_loop, is_loop_log
         from tau_dyn.simulate import read_servo_law
 
@@ -75,7 +76,7 @@ def diagnose(
                 named={"extended model": out}, found=loop, exit_status=loop.exit_status,
             )  # fmt: skip
         law = _read_law(controller, machine, trained)
-        found = diagnose_robot(machine, trained, holdout=held, progress=step, **fitting.collect(model, output.seed))
+        found = diagnose_drives(machine, trained, holdout=held, progress=step, **fitting.collect(model, output.seed))
         if law is not None:
             found = add_simulation(found, trained, law, step)
         result, warnings, status = found.to_dict(), list(found.warnings), found.exit_status

@@ -90,6 +90,12 @@ from .presliding import (
     Lugre as Lugre,
     follow_reversal as follow_reversal,
 )
+from .redundant_drives import (
+    REDUNDANT as REDUNDANT,
+    RedundantArmature as RedundantArmature,
+    build_redundant_effects as build_redundant_effects,
+    read_redundant_motion as read_redundant_motion,
+)
 from .robot_file import (
     GRAVITY_TURN as GRAVITY_TURN,
     Armature as Armature,

@@ -34,6 +34,12 @@ from tau_dyn.effects.lost_motion import Backlash, JointCompliance
 from tau_dyn.effects.motor_electrics import BackEmf, Inductance, SupplySag, WindingHeat
 from tau_dyn.effects.periodic import CyclicRipple, TransmissionError
 from tau_dyn.effects.presliding import Hysteresis, Lugre
+from tau_dyn.effects.redundant_drives import (
+    RedundantArmature,
+    RedundantAsymmetricFriction,
+    RedundantSymmetricFriction,
+    RedundantTorqueOffset,
+)
 from tau_dyn.effects.robot_file import Armature, DriveGain, GravityDirection, PinionScale, ReducerCoupling
 from tau_dyn.effects.static_friction import StaticFriction
 from tau_dyn.effects.structural_compliance import StructuralCompliance
@@ -99,6 +105,7 @@ def _again(known: type[Effect], effect: type[Effect]) -> bool:
 # Friction models, then the causes in the contract's order.
 _IN_ORDER: tuple[type[Effect], ...] = (
     SymmetricFriction, AsymmetricFriction,
+    RedundantArmature, RedundantSymmetricFriction, RedundantAsymmetricFriction, RedundantTorqueOffset,
     CoulombAsymmetry, ViscousAsymmetry, Stribeck, LoadFriction, PositionFriction, ThermalDrift, PassiveJointFriction,
     QuadraticDrag, ViscousCurvature, TorqueOffset, DriveGain, CyclicRipple, Delay, DriveLag, Backlash, Hysteresis,
     TransmissionError, ReducerCoupling, PinionScale, GravityDirection, Armature, StructuralCompliance, JointCompliance,
@@ -166,7 +173,8 @@ def _read_effect(row: object, robot: Robot, where: str) -> Effect:
         fault = f"'{beside[0]}' is no setting of effect {name}; it stands beside its settings"
     if fault:
         raise InputError("file_format", f"{where}: {fault}")
-    units, joints = dict(zip(robot.actuated, robot.force_units, strict=True)), [str(joint) for joint in joints]
+    drives = (*robot.actuated, *robot.redundant_joints), (*robot.force_units, *robot.redundant_units)
+    units, joints = dict(zip(*drives, strict=True)), [str(joint) for joint in joints]
     for joint in joints:
         if joint not in units:
             raise UnknownName("actuated joint", joint, units, where)

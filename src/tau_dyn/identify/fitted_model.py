@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tau_dyn.effects import FRICTION_MODELS, build_friction_model, compute_travel
+from tau_dyn.effects import FRICTION_MODELS, build_friction_model, build_redundant_effects, compute_travel
 from tau_dyn.estimate import BaseParameters, InertialBody, PhysicalConstraints, Regression, find_base
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.log import differentiate
@@ -176,9 +176,11 @@ def build_model(robot: Robot, model: str | Path | Model) -> Model:
         InputError: The model file is of a robot with other actuated joints or parameters.
     """
     if isinstance(model, str) and model in FRICTION_MODELS:
-        return free_drive_inertias(
-            _with_friction_of_file(Model.of(robot, build_friction_model(model, robot.driven, robot.driven_units)))
-        )
+        effects = build_friction_model(model, robot.driven, robot.driven_units)
+        plain = Model.of(robot, (*effects, *build_redundant_effects(model, robot)))
+        rotors = {p.name: {"value": p.value, "free": False, "origin": p.origin} for p in robot.redundant}
+        plain = plain.with_parameters(plain.parameters.update(rotors))
+        return free_drive_inertias(_with_friction_of_file(plain))
     if not isinstance(model, Model):
         if isinstance(model, str) and not Path(model).suffix:
             build_friction_model(model, robot.driven, robot.driven_units)  # raises an error that lists the names

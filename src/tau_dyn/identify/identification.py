@@ -40,6 +40,7 @@ from tau_dyn.identify.estimate_warnings import (
 from tau_dyn.identify.estimators import Estimator, Settled, iterate_to_fixed_point
 from tau_dyn.identify.fitted_model import Choices, build_model, build_physical_constraints, find_structural_base
 from tau_dyn.identify.force_offset import ForceOffset, build_offset_columns, estimate_offset, widen_by_offset
+from tau_dyn.identify.internal_force import estimate_internal_force
 from tau_dyn.identify.loop_positions import complete_positions
 from tau_dyn.identify.motor_electrics import (
     estimate_motor_electrics,
@@ -187,6 +188,7 @@ def identify(
         bands=errors.bands,
         changes=changes,
         motors=estimate_motor_electrics(estimate),
+        internal_force=estimate_internal_force(_place(fitted, estimate), estimate, data.pieces),
     )
 
 
@@ -230,6 +232,11 @@ def _gather_data(
             "the logs that it was fitted to, and the new one with --holdout",
         )
     gains = choices.gains(fitted.robot.driven)
+    if gains and fitted.robot.redundant_joints:
+        raise InputError(
+            "bad_option",
+            "--fix JOINT.drive_gain is for robots with as many drives as freedoms; scale the forces in the column map",
+        )
     train, held, doubled = drop_repeated_logs(*(complete_positions(fitted.robot, some) for some in (given, judged)))
     require_forces(fitted.robot, [*train, *held])
     doubled = [*doubled, *_list_base_warnings(fitted.robot, [*train, *held])]

@@ -22,6 +22,7 @@ from tau_dyn.evidence import LogChange, list_changes
 from tau_dyn.exceptions import InputError
 from tau_dyn.identify.bands import PredictiveBands
 from tau_dyn.identify.force_offset import ForceOffset
+from tau_dyn.identify.internal_force import InternalForce
 from tau_dyn.identify.per_log import PerLogParameter
 from tau_dyn.identify.posterior import Samples, draw_samples
 from tau_dyn.log import Log, Recording
@@ -130,6 +131,7 @@ class Identification(Shown):
         motors: Each motor's circuit, if its voltage is logged with current or force.
         bands: Bands that should hold 90 % of the held-out samples; None without held-out samples or if rows are on disk.
         changes: Changes within a log, of its force, friction, tool or base.
+        internal_force: Preloads of drives beyond the robot's freedoms; None without such drives.
     """
 
     model: Model
@@ -149,6 +151,7 @@ class Identification(Shown):
     bands: PredictiveBands | None = None
     changes: tuple[LogChange, ...] = ()
     motors: Parameters = Parameters(())
+    internal_force: InternalForce | None = None
 
     @property
     def parameters(self) -> Parameters:
@@ -263,6 +266,8 @@ class Identification(Shown):
             "determined_combinations": self.combination_rows(),
             **({"per_log": [one.to_dict() for one in self.per_log]} if self.per_log else {}),
             **({"motors": [_build_motor_row(p) for p in self.motors]} if len(self.motors) else {}),
+            **({} if self.internal_force is None else {"internal_force": self.internal_force.to_dict()}),
+            **({"merged_links": merged} if (merged := self.model.robot.merged_links) else {}),
             "correlation": self.estimate.correlation.tolist(),
             "equivalent_descriptions": list(self.equivalent),
             "train": self.train.to_dict(),

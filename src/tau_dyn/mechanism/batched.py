@@ -14,10 +14,11 @@ has the same through Pinocchio, one sample at a time, and the tests compare the 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from tau_dyn.mechanism.frames import (
     FrameMotion,
@@ -218,6 +219,15 @@ class BatchedTree:
         names = tuple(str(self.solver.model.names[link.joint_id]) for link, _, _ in self._links)
         return WeightArms(names, places.transpose(2, 0, 1), rates.transpose(3, 0, 1, 2))
 
+    def redundant_motion(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return the motion of redundant drives (N, r, na + 2)."""
+        rows = find_velocity_indices(self.solver.model, self.robot.redundant_joints)
+        out = np.zeros((len(rows), self.robot.na + 2, len(q)))
+        for part in iterate_blocks(len(q)):
+            closed, speeds, changes = self._moving(q[part], v[part], a[part])
+            out[:, :, part] = np.concatenate([closed.G[rows], speeds[rows, None], changes[rows, None]], axis=1)
+        return out.transpose(2, 0, 1)
+
     def tool_position(self, q: np.ndarray) -> np.ndarray:
         """Return the tool's position (N, 3) [m]."""
         return self._tool(q)[0]
@@ -312,6 +322,11 @@ class BatchedTree:
         """Return the actuated forces (n, N) that hold 1 kg against gravity."""
         place = transform_point(closed.at, weight.joint, weight.local)
         return -np.einsum("xan,x->an", self._velocity(closed, partial, weight.joint, place), self.gravity)
+
+
+def find_velocity_indices(model: pin.Model, joints: Sequence[str]) -> list[int]:
+    """Return the indices of joints of one freedom in the tree's velocity."""
+    return [model.joints[model.getJointId(name)].idx_v for name in joints]
 
 
 def _as_slice(movers: np.ndarray) -> slice | np.ndarray:

@@ -174,20 +174,13 @@ class LoopSolver:
         rank = int(np.sum(s > 1e-9 * s.max(initial=0.0)))
         stuck = J_a - J_p @ np.linalg.lstsq(J_p, J_a, rcond=1e-9)[0] if J_p.size else J_a
         if np.abs(stuck).max() > 1e-6 * np.abs(J_a).max():
-            n_free = jacobian.shape[1] - np.linalg.matrix_rank(np.hstack([J_p, J_a]), 1e-6 * np.abs(J_a).max())
-            raise LoopClosureError(self._describe_dependent_drives(n_free))
+            raise LoopClosureError(
+                f"{self.robot.source}: at home the loops do not let {', '.join(self.robot.actuated)} move independently; "
+                "choose another home (<tau_dyn:home>), or name fewer --actuated joints"
+            )
         free = np.zeros((self.model.nv, len(self.passive_v) - rank))
         free[self.passive_v] = vt[rank:].T
         return free
-
-    def _describe_dependent_drives(self, n_free: int) -> str:
-        """Return the sentence about more drives than freedoms, with the sum of forces that a log of fewer drives has to hold."""
-        return (
-            f"{self.robot.source}: the loops do not let {', '.join(self.robot.actuated)} move independently: there are "
-            f"{len(self.robot.actuated)} drives and {n_free} independent motion(s). Only the sum of their forces through the "
-            "loops is determined, so name as many --actuated joints as motions, and log for each such joint k the force "
-            "tau_k + sum of tau_i dq_i/dq_k over the drives i that are not named. With tau_k alone, masses and inertias are wrong"
-        )
 
     def closure_error(self, q: np.ndarray) -> float:
         """Return the largest distance between two points that should coincide [m]."""
@@ -334,7 +327,8 @@ def compute_turning_rates(
 
 def _chains(robot: Robot, model: pin.Model) -> list[list[int]]:
     """Return the passive joints, those joined by a link without mass together, base to tip."""
-    passive = [j for j in range(1, model.njoints) if model.names[j] not in robot.actuated]
+    driven = (*robot.actuated, *robot.redundant_joints)
+    passive = [j for j in range(1, model.njoints) if model.names[j] not in driven]
     heavy = {link.joint_id for link in robot.links}
     chains: dict[int, list[int]] = {}
     for joint in passive:

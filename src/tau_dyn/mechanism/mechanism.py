@@ -272,6 +272,22 @@ class Mechanism(ABC):
         only turn together, the relative angular velocity as a vector. No pairs without loops.
         """
 
+    def redundant_motion(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return the motion of the drives beyond the robot's freedoms, `Robot.redundant_joints`, (N, r, na + 2).
+
+        For each drive its speed per actuated speed (na), its speed and its acceleration [m or rad, per s and s^2].
+
+        Raises:
+            InputError: The equations are those of generated code, which has no such drives.
+        """
+        if self.robot.redundant_joints:
+            raise InputError(
+                "unsupported",
+                f"{self.robot.source}: generated code is for robots with as many drives as freedoms, and "
+                f"{', '.join(self.robot.redundant_joints)} is more",
+            )
+        return np.zeros((len(np.atleast_2d(q)), 0, self.robot.na + 2))
+
     @abstractmethod
     def tool_jacobian(self, q: np.ndarray) -> np.ndarray:
         """Return the tool's velocity per actuated speed (N, 3, na), in base axes.

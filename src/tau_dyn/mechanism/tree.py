@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.mechanism.batched import BatchedTree, WeightArms, iterate_blocks
+from tau_dyn.mechanism.batched import BatchedTree, WeightArms, find_velocity_indices, iterate_blocks
 from tau_dyn.mechanism.frames import Joint, add_vectors, list_joints, rotate_into_frame
 from tau_dyn.mechanism.gantry_tau import GantryTauMechanism
 from tau_dyn.mechanism.loops import Constraints, LoopSolver, compute_turning_rates, find_passive_pairs
@@ -163,6 +163,16 @@ class SamplewiseTree(Mechanism):
                 else:
                     row[:] = (jacobian * pair.weights) @ state.G
         return tuple(pair.name for pair in self._pairs), out
+
+    def redundant_motion(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return the motion of redundant drives (N, r, na + 2); see `Mechanism.redundant_motion`."""
+        q, v, a = self._checked(q, v, a)
+        rows = find_velocity_indices(self.model, self.robot.redundant_joints)
+        out = np.zeros((len(q), len(rows), self.robot.na + 2))
+        for k in range(len(q)):
+            state = self.solver.state(q[k], v[k], a[k])
+            out[k] = np.column_stack([state.G[rows], state.v[rows], state.a[rows]])
+        return out
 
     def condition(self, q: np.ndarray) -> np.ndarray:
         """Return the closure's conditioning (N,)."""
@@ -337,6 +347,7 @@ class TreeMechanism(SamplewiseTree):
     tool_position = _by_number("tool_position")
     tool_jacobian = _by_number("tool_jacobian")
     condition = _by_number("condition")
+    redundant_motion = _by_number("redundant_motion")
 
     def __init__(self, robot: Robot) -> None:
         """Prepare for the robot's parameter values."""
@@ -391,7 +402,7 @@ def build_mechanism(robot: Robot) -> Mechanism:
         array([[95.]])
     """
     mechanism: Mechanism = TreeMechanism(robot)
-    if GantryTauMechanism.describes(robot):
+    if GantryTauMechanism.describes(robot) and not robot.redundant_joints:
         closed = GantryTauMechanism(robot)
         sample = robot.home[None] + 0.01, np.array([[0.3, -0.2, 0.1]]), np.array([[1.0, -1.0, 0.5]])
         Y = mechanism.regressor(*sample)

@@ -38,7 +38,7 @@ def close_home(robot: Robot) -> Robot:
     passive = [int(k) for k in robot.passive_v]
     if any(joint.nv != 1 for joint in robot.model.joints[1:]) or not passive:
         return robot
-    gap = _Gap(robot)
+    gap = LoopGap(robot)
     x = gap.solve_from_home()
     if x is not None:
         far = np.abs(x - gap.home).max() > _MAX_STEP
@@ -50,10 +50,11 @@ def close_home(robot: Robot) -> Robot:
     return robot
 
 
-class _Gap:
+class LoopGap:
     """The loops' gaps of one tree over the positions of its joints `x` (nv,), turns in rad."""
 
     def __init__(self, robot: Robot) -> None:
+        """Find the joints' places, limits and followers, and the file's home."""
         self.robot, self.data = robot, robot.model.createData()
         share, offset = robot.coupling
         self.share, self.offset = share, offset
@@ -161,7 +162,7 @@ class _Gap:
         return near if inside.all() else None
 
 
-def _with_home(gap: _Gap, found: list[np.ndarray], moved: list[int]) -> Robot:
+def _with_home(gap: LoopGap, found: list[np.ndarray], moved: list[int]) -> Robot:
     """Return the robot with the first closure as its home."""
     robot, first = gap.robot, found[0]
     passive = gap.name_passive(first)

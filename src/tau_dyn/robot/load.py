@@ -19,7 +19,9 @@ import pinocchio as pin
 
 from tau_dyn.exceptions import InputError, UnknownName
 from tau_dyn.files import compute_sha256
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.parameters import Parameter, Parameters
+from tau_dyn.results import count
 from tau_dyn.robot.annotations import (
     Annotations,
     BallConstraint,
@@ -32,6 +34,7 @@ from tau_dyn.robot.closed_home import close_home
 from tau_dyn.robot.expand import expand, find_robot
 from tau_dyn.robot.floating_base import BASE_COORDINATES, free_base
 from tau_dyn.robot.held_joints import hold_joints
+from tau_dyn.robot.independent_drives import find_independent_drives
 from tau_dyn.robot.loop_file import add_loops, find_loop_file
 from tau_dyn.robot.numbers import MAX_NUMBER, check_inertia
 from tau_dyn.robot.packages import StockRobot, find_described_robot
@@ -171,7 +174,8 @@ def load_robot_from_urdf(
         _check_bodies(model, notes, source)
     if lock_springs and notes.springs:
         model = _locked(model, [s.joint for s in notes.springs], source)
-    names, warnings = _actuated(model, notes, actuated, tuple(passive), source)
+    wanted = None if actuated is None else tuple(actuated)
+    names, warnings = _actuated(model, notes, wanted, tuple(passive), source)
     coordinates = BASE_COORDINATES if notes.floating else ()
     if notes.floating and notes.loops:
         raise InputError("unsupported", f"{source}: loops in the legs of a floating base are not read yet")
@@ -185,7 +189,7 @@ def load_robot_from_urdf(
         found = load_robot_from_urdf(
             hold_joints(urdf, dict.fromkeys(several, 0.0), source),
             source,
-            actuated=actuated,
+            actuated=wanted,
             tool=tool,
             arguments=arguments,
             sha256=sha256,
@@ -197,11 +201,6 @@ def load_robot_from_urdf(
         moved = "it" if len(passive) == 1 else "them"
         warnings.append(
             f"{source}: held still at zero, for neither a motor nor a loop moves {moved}: {', '.join(passive)}"
-        )
-    if notes.loops and not passive:
-        raise InputError(
-            "robot_structure",
-            f"{source}: no passive joint is left to close its loops, of {', '.join(names)}; name only those with a motor",
         )
     loops = tuple(_add_loop(model, k, ball, source) for k, ball in enumerate(notes.loops))
     links = _links(model, notes)
@@ -238,7 +237,38 @@ def load_robot_from_urdf(
         gear_ratios={t.joint: t.ratio for t in notes.transmissions if t.ratio != 1 and t.joint in names},
         packages=dict(packages or {}),
     )
-    return close_home(found) if loops else found
+    independent = find_independent_drives(found, [n for n in wanted or names if n in names])
+    if independent == names:
+        return close_home(found) if loops else found
+    fewer = load_robot_from_urdf(
+        urdf,
+        source,
+        actuated=independent,
+        tool=tool,
+        arguments=arguments,
+        sha256=sha256,
+        lock_springs=lock_springs,
+        packages=packages,
+    )
+    return _with_all_drives(fewer, found)
+
+
+def _with_all_drives(fewer: Robot, found: Robot) -> Robot:
+    """Return the robot of independent drives with what the file gives for the others, and a warning that names them."""
+    others = [name for name in found.actuated if name not in fewer.actuated]
+    sentence = (
+        f"{found.source}: {len(found.actuated)} drives and {count(fewer.na, 'independent motion')}: "
+        f"{', '.join(others)} {'follows' if len(others) == 1 else 'follow'} {', '.join(fewer.actuated)} through the loops; log "
+        "the forces of all of them. "
+        f"Forces of {', '.join(fewer.actuated)} are generalised, tau_k + sum of tau_i dq_i/dq_k over {', '.join(others)}"
+    )
+    return replace(
+        fewer,
+        redundant=found.parameters.select([f"{name}.armature" for name in others]),
+        friction=found.friction,
+        gear_ratios=found.gear_ratios,
+        warnings=(*fewer.warnings, CodedWarning("redundant_drives", sentence)),
+    )
 
 
 def _require_actuated_springs(actuated: tuple[str, ...], notes: Annotations, where: str) -> tuple[Spring, ...]:

@@ -103,6 +103,9 @@ class Robot(Shown):
         base_coordinates: The six coordinates of a floating base. They are the first of `actuated`, as they are measured like
             all others, and their forces are zero.
         contacts: Links of a robot with a floating base that may touch the ground.
+        redundant: Drive inertias `<joint>.armature` of the drives beyond the robot's freedoms. They follow the actuated joints
+            through the loops: `v_redundant = B v`. The force of an actuated joint k is then the generalised one of all drives,
+            `tau_k + sum_i B_ik tau_i`.
     """
 
     name: str
@@ -132,6 +135,26 @@ class Robot(Shown):
     packages: Mapping[str, str | Path] = field(default_factory=dict)
     base_coordinates: tuple[str, ...] = ()
     contacts: tuple[ContactFrame, ...] = ()
+    redundant: Parameters = Parameters(())
+
+    @property
+    def redundant_joints(self) -> tuple[str, ...]:
+        """Names of the drives beyond the robot's freedoms, in the tree's order."""
+        return tuple(name.rpartition(".")[0] for name in self.redundant.names)
+
+    @property
+    def redundant_units(self) -> tuple[str, ...]:
+        """'N' or 'N m' for each of these drives."""
+        return _get_force_units(self._get_kinds(self.redundant_joints))
+
+    @property
+    def merged_links(self) -> dict[str, str]:
+        """The links with mass that are fixed to another one, by name, and the link whose parameters contain theirs."""
+        owners, frames = {link.joint_id: link.link for link in self.links}, self.model.frames
+        bodies = [f for f in frames if f.type == pin.FrameType.BODY and f.parentJoint in owners]
+        mounts = [(f, frames[f.parentFrame]) for f in bodies]
+        screwed = pin.FrameType.FIXED_JOINT  # Pinocchio keeps the mass behind it there
+        return {f.name: owners[f.parentJoint] for f, at in mounts if at.type == screwed and at.inertia.mass > 0}
 
     @property
     def driven(self) -> tuple[str, ...]:
@@ -204,8 +227,7 @@ class Robot(Shown):
     @property
     def joint_kinds(self) -> tuple[str, ...]:
         """'prismatic' or 'revolute' for each actuated joint."""
-        names = [self.model.joints[self.model.getJointId(j)].shortname() for j in self.actuated]
-        return tuple("prismatic" if "JointModelP" in n and "Planar" not in n else "revolute" for n in names)
+        return self._get_kinds(self.actuated)
 
     @property
     def position_units(self) -> tuple[str, ...]:
@@ -215,7 +237,7 @@ class Robot(Shown):
     @property
     def force_units(self) -> tuple[str, ...]:
         """'N' or 'N m' for each actuated joint."""
-        return tuple("N" if kind == "prismatic" else "N m" for kind in self.joint_kinds)
+        return _get_force_units(self.joint_kinds)
 
     @property
     def lower(self) -> np.ndarray:
@@ -234,7 +256,9 @@ class Robot(Shown):
 
     @property
     def effort_limit(self) -> np.ndarray:
-        """Force limits (na,) [N or N m]; inf if unlimited."""
+        """Force limits (na,) [N or N m]; inf if unlimited, and for generalised forces of more drives than freedoms."""
+        if self.redundant_joints:
+            return np.full(self.na, np.inf)
         return _or_none(self.model.upperEffortLimit[self.active_v])
 
     @property
@@ -292,8 +316,10 @@ class Robot(Shown):
         wanted = {n for n in names if n not in self.parameters}
         possible = {f"{li.link}.{quantity}" for li in self.links for quantity in INERTIAL}
         for name in wanted - possible:
+            owner = self.merged_links.get(name.rpartition(".")[0])
+            part = f". {name.rpartition('.')[0]} is part of {owner}" if owner else ""
             raise UnknownName(
-                "parameter", name, [*self.parameters.names, *sorted(possible - set(self.parameters.names))]
+                "parameter", name, [*self.parameters.names, *sorted(possible - set(self.parameters.names))], more=part
             )
         links = []
         for link in self.links:
@@ -317,6 +343,10 @@ class Robot(Shown):
             )  # per travel of the joint, as in the tree
         model.armature = armature
         return model
+
+    def _get_kinds(self, joints: Iterable[str]) -> tuple[str, ...]:
+        names = [self.model.joints[self.model.getJointId(j)].shortname() for j in joints]
+        return tuple("prismatic" if "JointModelP" in n and "Planar" not in n else "revolute" for n in names)
 
     def _position_limit(self, limit: np.ndarray, default: float) -> np.ndarray:
         one_number = np.array([self.model.joints[self.model.getJointId(j)].nq == 1 for j in self.actuated])
@@ -348,6 +378,10 @@ def compute_inertia_matrix(pi: np.ndarray) -> np.ndarray:
     """Return the inertia matrix (3, 3) about the joint frame's origin of ten inertial numbers in Pinocchio's order [kg m^2]."""
     xx, xy, yy, xz, yz, zz = pi[4:]
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def _get_force_units(kinds: Iterable[str]) -> tuple[str, ...]:
+    return tuple("N" if kind == "prismatic" else "N m" for kind in kinds)
 
 
 def _inertia(pi: np.ndarray) -> pin.Inertia:

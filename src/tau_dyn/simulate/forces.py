@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tau_dyn.effects import (
+    REDUNDANT,
     STATE,
     Bristle,
     DisplacementEffect,
@@ -31,6 +32,7 @@ from tau_dyn.effects import (
     JointMotion,
     JointwiseEffect,
     Motion,
+    RedundantArmature,
     acts_on_recording,
     follow_reversal,
 )
@@ -209,6 +211,8 @@ class SampledForces:
     def _feels_acceleration(self, effect: Effect, values: np.ndarray) -> bool:
         if {"passive", "gravity_turn"} & set(effect.needs) or isinstance(effect, Bristle):
             return False  # feel speeds or places alone, and not every state by chance closes the loops
+        if REDUNDANT in effect.needs:
+            return isinstance(effect, RedundantArmature)
         states = np.random.default_rng(0).uniform(-1, 1, (_PROBES, 2, self.na))
         return any(np.any(self._per_acceleration(effect, values, q, v) != 0) for q, v in states)
 

@@ -50,6 +50,7 @@ def present_identification(found: Identification, *, truth: Mapping[str, float] 
         r.Chapter("parameters", "Parameters", lambda: _build_parameters(found, rows, truth), r.On.ALL),
         *_list_per_log(found),
         *_list_motors(found),
+        *_list_preloads(found),
         r.Chapter("uncertain", "", lambda: _list_uncertain(found), r.On.TERMINAL),
         r.Chapter("trust", "Quality of fit", lambda: _build_quality(found)),
     ]
@@ -224,6 +225,29 @@ def _list_motors(found: Identification) -> list[r.Chapter]:
         )
 
     return [r.Chapter("motors", "Motors", build, r.On.ALL)]
+
+
+def _list_preloads(found: Identification) -> list[r.Chapter]:
+    """Return the section of the force inside a robot with more drives than freedoms; an empty list for other robots."""
+    inside = found.internal_force
+    if inside is None:
+        return []
+
+    def build() -> Iterator[r.Element]:
+        columns = [
+            r.Column("preload"),
+            r.Column("value", "number"),
+            r.Column("deviation", "number"),
+            r.Column("", "unit"),
+        ]
+        rows = []
+        for p, deviation in zip(inside.preloads, inside.deviations, strict=True):
+            value = "not separable from friction" if p.stderr is None else r.format_with_uncertainty(p.value, p.stderr)
+            rows.append(r.Row([p.name, value, r.format_number(float(deviation), 3), r.format_unit(p.unit)]))
+        yield r.ResultTable(columns, rows, on=r.On.ALL)
+        yield r.explain(f"{inside.to_dict()['assumed']}. The deviation is that of single samples, noise included.")
+
+    return [r.Chapter("preloads", "Force inside the mechanism", build, r.On.ALL)]
 
 
 def _list_uncertain(found: Identification) -> Iterator[r.Element]:
