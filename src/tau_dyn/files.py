@@ -20,7 +20,7 @@ from typing import Any
 
 import yaml
 
-from tau_dyn.exceptions import InputError
+from tau_dyn.exceptions import InputError, require_kind
 
 _NUMBER = count()
 _MAX_NAME_CHARACTERS = 120
@@ -61,6 +61,7 @@ def read_bytes(path: str | Path, most: int | None = None) -> bytes:
         InputError: The path is a device, a socket or a silent pipe, or the file is larger than `most`.
         OSError: Other faults that `open` reports.
     """
+    require_kind(path, str | os.PathLike, "path", "the name of a file")
     if os.path.isdir(path):
         raise IsADirectoryError(21, "is a folder", str(path))
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
@@ -199,8 +200,9 @@ def resolve_destination(path: str | Path) -> Path:
     """Return the path of a file to be written: links are followed, but a pipe or a device keeps its name.
 
     Raises:
-        InputError: A link leads to itself, or the current folder does not exist any more.
+        InputError: It is no path, a link leads to itself, or the current folder does not exist any more.
     """
+    require_kind(path, str | os.PathLike, "path", "the name of a file")
     path = Path(path)
     try:
         kind = os.stat(path).st_mode

@@ -41,7 +41,7 @@ def render_notebook(result: Any) -> str:
     """Return the HTML of a result in a notebook.
 
     Raises:
-        TypeError: The result has no presentation.
+        InputError: The result has no presentation.
     """
     shown = present(result)
     pieces = [Markup("<style>") + Markup(_get_style()) + Markup("</style>")]  # noqa: S704 our own files

@@ -20,7 +20,7 @@ from xml.parsers.expat import ExpatError
 from defusedxml.common import DefusedXmlException
 from defusedxml.expatbuilder import parseString  # like minidom's, without its network modules
 
-from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.exceptions import InputError, UnknownName, require_kind
 from tau_dyn.files import format_yaml, read_bytes
 from tau_dyn.robot.dimensions import TableChanges, read_number
 from tau_dyn.robot.mjcf import convert_mjcf
@@ -83,9 +83,10 @@ def find_robot(robot: str | Path) -> Path:
     """Return the file that a path or a short name means.
 
     Raises:
-        InputError: The file does not exist or is not a robot file.
+        InputError: It is neither, or the file does not exist or is not a robot file.
         UnknownName: A bare word is not the name of a robot.
     """
+    require_kind(robot, str | Path, "robot", "what load_robot returns, a robot file's path or a name")
     path, stock = Path(robot), list_stock_robots()
     try:
         there = path.is_file()

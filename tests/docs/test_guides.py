@@ -1,0 +1,163 @@
+"""A reader who types what guides, explanations, references and the README say, in a folder with logs, meets no error."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from page_blocks import ROOT, blocks, commands
+from page_replay import play, replay
+
+LANGUAGES = ("", "bash", "sh", "python")
+
+
+@dataclass(frozen=True)
+class Guide:
+    """How a page is executed.
+
+    Attributes:
+        words: Words of the page and what stands for them.
+        options: Beginnings of commands and options that shorten them.
+        python: Code for the names that the page's Python takes for given.
+    """
+
+    words: Mapping[str, str] = field(default_factory=dict)
+    options: Mapping[str, str] = field(default_factory=dict)
+    python: str = ""
+
+
+GANTRY = {"ROBOT": "gantry_tau", "MODEL.yaml": "model.yaml"}
+GUIDES = {
+    "README.md": Guide(),
+    "docs/index.md": Guide(),
+    "docs/explanation/architecture.md": Guide(
+        python="""
+import numpy as np
+from tau_dyn.mechanism import build_kinematics, build_mechanism
+from tau_dyn.robot import load_robot
+robot = load_robot("gantry_tau")
+q, v, a = robot.home[None] + 0.01, np.full((1, 3), 0.1), np.zeros((1, 3))
+poses, parameters = build_kinematics(robot).forward(q).poses, build_kinematics(robot).geometry
+"""
+    ),
+    "docs/how_to/calibrate.md": Guide(),
+    "docs/how_to/check_a_log.md": Guide({"ROBOT": "gantry_tau", "LOG": "log.csv"}),
+    "docs/how_to/compensate.md": Guide(
+        options={"tau-dyn calibrate": "--model ideal"},
+        python="""
+from tau_dyn.calibrate import read_poses
+from tau_dyn.robot import load_robot as load
+load_robot = lambda name: load("gantry_tau")
+robot = load("gantry_tau")
+q = robot.home[None]
+""",
+    ),
+    "docs/how_to/controller.md": Guide(
+        GANTRY | {"MOTION.csv": "reference.csv", "C.csv": "correction.csv", "joints|tool": "joints"},
+    ),
+    "docs/how_to/diagnose.md": Guide(),
+    "docs/how_to/estimators.md": Guide({"auto|wls|ml|iv|robust": "wls"}),
+    "docs/how_to/exchange.md": Guide(),
+    "docs/how_to/excitation.md": Guide(
+        {"ROBOT": "linear_axis", "MOTION.csv": "motion.csv"}, {"tau-dyn excite": "--duration 5 --trials 2 --time 5"}
+    ),
+    "docs/how_to/feedforward.md": Guide(GANTRY),
+    "docs/how_to/kinematics.md": Guide(
+        {"ROBOT": "gantry_tau", "POSES.csv": "poses.csv", "POSITIONS.csv": "found.csv", "X Y Z W": "0 0 0 1"}
+    ),
+    "docs/how_to/lead_through.md": Guide(
+        python="""
+from types import SimpleNamespace
+import numpy as np
+handle_wrench, tool_wrench = np.zeros(6), np.zeros(6)
+pose = SimpleNamespace(position=np.zeros(3), rotation=np.eye(3))
+"""
+    ),
+    "docs/how_to/learning.md": Guide(
+        {"ROBOT": "linear_axis", "--measured x_tool y_tool": "--measured x_gauge", "ax_tool ay_tool": "ax_tool"}
+    ),
+    "docs/how_to/notebooks.md": Guide(),
+    "docs/how_to/observers.md": Guide(
+        {"LOG": "t1.csv", "ROBOT": "linear_axis", "MODEL.yaml": "kalman.yaml"}
+        | {"x_tool y_tool": "x_tool", "ax_tool ay_tool": "ax_tool", "4.5 2.6": "4.5"}
+    ),
+    "docs/how_to/payload_and_watch.md": Guide(
+        GANTRY | {"monday.csv": "shift1.csv", "tuesday.csv": "shift2.csv"}, {"tau-dyn watch": "--patience 1"}
+    ),
+    "docs/how_to/runs.md": Guide(),
+    "docs/how_to/samples_and_fleet.md": Guide(GANTRY),
+    "docs/reference/files.md": Guide(),
+    "docs/reference/robots.md": Guide(),
+}
+"""Pages that are executed."""
+
+UNRUN = {
+    "python3 -m venv": "installs from a registry",
+    "pip install": "installs from a registry",
+    "tau-dyn demo": "a minute; tests/cli/test_demo.py runs it",
+    "tau-dyn fk ur.urdf.xacro": "needs a checkout of the ROS package ur_description",
+    "tau-dyn fk unitree_go1/go1.xml": "needs a checkout of mujoco_menagerie",
+    "tau-dyn view": "serves a page until Ctrl-C; tests/view run it",
+    "python experiments/": "a study of minutes to hours; its page states what it measured",
+    "python identification/": "measured logs; tests/identification run it",
+}
+"""Beginnings of lines that are not executed, with the reason."""
+
+
+def adapt(guide: Guide, lines: list[str]) -> list[str]:
+    """Return commands in the form in which they are executed: words replaced, brackets of options left out, shortened."""
+    found = []
+    for line in lines:
+        if not line.startswith(("tau-dyn ", "python ")) or line.startswith(tuple(UNRUN)):
+            continue
+        for word, instead in guide.words.items():
+            line = re.sub(rf"(?<![\w./-]){re.escape(word)}(?![\w.-])", instead, line)
+        line = re.sub(r"(?<=\s)\[|\]", "", line)
+        more = [options for start, options in guide.options.items() if line.startswith(start)]
+        found.append(" ".join([line, *more]))
+    return found
+
+
+@pytest.fixture(scope="session")
+def inputs(tmp_path_factory):
+    """Return a folder with the files that guides take for given, simulated once."""
+    folder = tmp_path_factory.mktemp("given")
+    code = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); from page_inputs import write_inputs; write_inputs()"
+    step = {"language": "python", "title": "", "text": code, "commands": [], "where": "inputs"}
+    (answer,) = play([step], folder)
+    assert not answer["status"], answer["text"]
+    return folder
+
+
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("name", GUIDES)
+def test_every_block_runs(name, inputs):
+    """Each command and each block of Python ends well, and shows what the page shows behind it."""
+    guide = GUIDES[name]
+
+    def prepare(folder: Path) -> str:
+        shutil.copytree(inputs, folder, dirs_exist_ok=True)
+        return guide.python or "pass"
+
+    played = replay(ROOT / name, LANGUAGES, prepare, lambda lines: adapt(guide, lines))
+    faults = [f"{name}, line {p.step.block.line}:\n{p.fault}" for p in played if p.fault]
+    assert played and not faults, "\n\n".join(faults)
+
+
+def test_every_page_with_a_block_is_executed():
+    """A page with Python or a command that can be executed is in one of the lists, here or in test_tutorials.py."""
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    held = {
+        str(page.relative_to(ROOT))
+        for page in pages
+        for block in blocks(page.read_text(encoding="utf-8"))
+        if block.language == "python" or (block.language in LANGUAGES and adapt(Guide(), commands(block.text)))
+    }
+    assert {name for name in held if "tutorials/" not in name} == {*GUIDES}
