@@ -183,13 +183,20 @@ def format_yaml(path: str | Path) -> str:
 def _yaml_of(path: str | Path) -> Iterator[str]:
     """Give a YAML file's text; faults of it become sentences."""
     try:
-        yield read_bytes(path, MAX_YAML_BYTES).decode("utf-8")
+        text = read_bytes(path, MAX_YAML_BYTES).decode("utf-8")
+        if text.lstrip().startswith(("<?xml", "<robot", "<mujoco", "<!")):
+            raise InputError("file_format", f"{path} is XML, such as a robot file; a YAML file is needed here")
+        yield text
     except InputError:
         raise
     except FileNotFoundError as fault:
         raise InputError("file_not_found", f"{path}: no such file") from fault
-    except (OSError, UnicodeDecodeError) as fault:
-        raise InputError("cannot_read", f"{path}: cannot be read as text ({fault})") from fault
+    except UnicodeDecodeError as fault:
+        raise InputError("cannot_read", f"{path} is no text in UTF-8; a YAML file is needed here") from fault
+    except OSError as fault:
+        raise InputError(
+            "cannot_read", f"{path}: cannot be read ({fault.strerror}); a YAML file is needed here"
+        ) from fault
     except YAML_FAULTS as fault:
         mark, problem = getattr(fault, "problem_mark", None), getattr(fault, "problem", None) or str(fault)
         line = "" if mark is None else f", line {mark.line + 1}"

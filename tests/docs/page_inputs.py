@@ -6,15 +6,24 @@ Forces are those of the equations of motion on a named motion, with white noise;
 from __future__ import annotations
 
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
 
 from tau_dyn import Log, Model, forward_kinematics, load_robot
 from tau_dyn.cli import main
 from tau_dyn.effects import build_friction_model
+from tau_dyn.modes import Actuator
 from tau_dyn.simulate import build_named_motion
 
+LAB = """
+obstacles:
+- name: table
+  box: {centre: [1.0, -1.2, 0.1], size: [0.4, 0.3, 0.2]}
+"""
 PLATE_KG = 2.0
 """Payload in `loaded.csv`."""
 
@@ -52,13 +61,15 @@ def write_logs() -> None:
     for seed, name in enumerate(("shift1", "shift2", "today"), start=20):
         record(model, 80.0, seed).to_csv(f"{name}.csv")
     shutil.copy("monday.csv", "log.csv")
+    Path("lab.yaml").write_text(LAB, encoding="utf-8")
 
 
 def write_poses() -> None:
-    """Write measured poses of the Gantry-Tau, and positions that a controller computed."""
+    """Write measured poses of a Gantry-Tau with a rod 3 mm too long, and positions that a controller computed."""
+    built = load_robot("gantry_tau", **{"simplified.arms.1.rods.1.length": 2.053})
     robot, rng = load_robot("gantry_tau"), np.random.default_rng(1)
     q = robot.home + rng.uniform(-0.3, 0.3, (24, 3))
-    place = forward_kinematics(robot, q).poses.position + 1e-5 * rng.standard_normal((24, 3))
+    place = forward_kinematics(built, q).poses.position + 1e-5 * rng.standard_normal((24, 3))
     joints = [f"q_{joint}" for joint in robot.actuated]
     pd.DataFrame(np.hstack([q, place]), columns=[*joints, "x_tool", "y_tool", "z_tool"]).to_csv(
         "poses.csv", index=False
@@ -87,7 +98,7 @@ def rise(t: np.ndarray, start: float, seconds: float) -> np.ndarray:
 def write_trials() -> None:
     """Write two trials of a linear axis whose tool swings, the second corrected by half of the first one's error.
 
-    The tool's place is measured as `x_gauge` as well, and a model from the drive's place to the tool's is fitted to it.
+    The tool's place is measured as `x_gauge` as well, and a model from the drive's place to the tool's is fitted to a shaken one.
     """
     t = 0.004 * np.arange(1000)
     reference = 0.3 * rise(t, 1.0, 0.4)
@@ -98,7 +109,52 @@ def write_trials() -> None:
         channels = {"q_ref_axis": command, "q_axis": q, "x_tool": x, "ax_tool": acceleration, "x_gauge": x_gauge}
         Log(t, channels).to_csv(name)
         command = command + 0.5 * (reference - place)
-    main("modes t1.csv --inputs x_tool --outputs x_gauge --order 2 --delay 0 --out kalman.yaml --quiet".split())
+    shaken = np.repeat(rng.choice([-1e-3, 1e-3], 300), 5)
+    gauge = swing(shaken, 0.004)[0] + 1e-7 * rng.standard_normal(1500)
+    Log(0.004 * np.arange(1500), {"x_tool": shaken, "x_gauge": gauge}).to_csv("shaken.csv")
+    main("modes shaken.csv --inputs x_tool --outputs x_gauge --order 2 --delay 0 --out kalman.yaml --quiet".split())
+
+
+def write_drives() -> None:
+    """Write drives of the Gantry-Tau that lag behind their references, and the file of them."""
+    robot, t = load_robot("gantry_tau"), 0.004 * np.arange(1000)
+    moved = robot.home + np.outer(rise(t, 1.0, 0.5) - rise(t, 2.5, 0.5), [0.1, -0.08, 0.06])
+    drive, rng = Actuator(1.0, 0.007, 0.0105), np.random.default_rng(5)
+    channels = {}
+    for k, joint in enumerate(robot.actuated):
+        channels[f"q_ref_{joint}"] = moved[:, k]
+        channels[f"q_{joint}"] = drive.simulate(moved[:, k], 0.004) + 1e-6 * rng.standard_normal(len(t))
+    Log(t, channels).to_csv("lag.csv")
+    main("actuators lag.csv --out actuators.yaml --quiet".split())
+
+
+def write_guideways() -> None:
+    """Write measured points of the carts of a Gantry-Tau of type D1, and orientations of its plate."""
+    robot, rng = load_robot("gantry_tau", prototype="d1"), np.random.default_rng(3)
+    for k, joint in enumerate(robot.actuated, start=1):
+        along = np.linspace(0.0, 1.0, 12)
+        bend = 2e-5 * rng.standard_normal((12, 3)) + along[:, None] * [1.0, 0.0, 0.0]
+        table = pd.DataFrame(bend, columns=["x_tool", "y_tool", "z_tool"])
+        table.insert(0, f"q_{joint}", along)
+        table.to_csv(f"c{k}.csv", index=False)
+    q = robot.home + rng.uniform(-0.1, 0.1, (6, robot.na))
+    turned = Rotation.from_rotvec(2e-5 * rng.standard_normal((6, 3))).as_quat()
+    columns = [*(f"q_{joint}" for joint in robot.actuated), "qx_tool", "qy_tool", "qz_tool", "qw_tool"]
+    pd.DataFrame(np.hstack([q, turned]), columns=columns).to_csv("orientation.csv", index=False)
+
+
+def write_bench() -> None:
+    """Write two axes that swing at 9 and 14 Hz under forces, and their answer to noise alone."""
+    t, rng = 0.002 * np.arange(4000), np.random.default_rng(4)
+    pushes = np.repeat(rng.choice([-20.0, 20.0], (800, 2)), 5, axis=0)
+    x = np.zeros((4000, 2))
+    for k, hertz in enumerate((9.0, 14.0)):
+        pole = np.exp(0.002 * 2 * np.pi * hertz * (-0.02 + 1j))
+        x[:, k] = lfilter([0.0, 1e-7], [1.0, -2 * pole.real, abs(pole) ** 2], pushes[:, k])
+    x += 1e-7 * rng.standard_normal(x.shape)
+    Log(t, {"force_x": pushes[:, 0], "force_y": pushes[:, 1], "x_tool": x[:, 0], "y_tool": x[:, 1]}).to_csv("bench.csv")
+    swaying = np.gradient(np.gradient(x, 0.002, axis=0), 0.002, axis=0) @ np.array([[1, 1, 0.5], [1, -1, 0.3]])
+    Log(t, {f"a{k + 1}": swaying[:, k] for k in range(3)}).to_csv("ambient.csv")
 
 
 def write_inputs() -> None:
@@ -106,3 +162,6 @@ def write_inputs() -> None:
     write_logs()
     write_poses()
     write_trials()
+    write_drives()
+    write_guideways()
+    write_bench()

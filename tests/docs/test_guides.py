@@ -61,10 +61,24 @@ q = robot.home[None]
     ),
     "docs/how_to/controller.md": Guide(
         GANTRY | {"MOTION.csv": "reference.csv", "C.csv": "correction.csv", "joints|tool": "joints"},
+        python="""
+from page_blocks import ROOT, blocks
+from tau_dyn.cli import main
+main("modes bench.csv --inputs force_x force_y --outputs x_tool y_tool --order 4 --method n4sid --json modes.json".split())
+page = (ROOT / "docs" / "how_to" / "controller.md").read_text(encoding="utf-8")
+exec(next(block.text for block in blocks(page) if block.language == "python"))  # writes reference and correction
+""",
     ),
     "docs/how_to/diagnose.md": Guide(),
     "docs/how_to/estimators.md": Guide({"auto|wls|ml|iv|robust": "wls"}),
-    "docs/how_to/exchange.md": Guide(),
+    "docs/how_to/exchange.md": Guide(
+        {"monday.yaml": "model.yaml", "tuesday.yaml": "model.yaml"},
+        python="""
+from tau_dyn.cli import main
+for log, result in (("monday.csv", "before.json"), ("tuesday.csv", "after.json")):
+    main(["identify", "gantry_tau", log, "--json", result, "--quiet"])
+""",
+    ),
     "docs/how_to/excitation.md": Guide(
         {"ROBOT": "linear_axis", "MOTION.csv": "motion.csv"}, {"tau-dyn excite": "--duration 5 --trials 2 --time 5"}
     ),
@@ -91,10 +105,51 @@ pose = SimpleNamespace(position=np.zeros(3), rotation=np.eye(3))
     "docs/how_to/payload_and_watch.md": Guide(
         GANTRY | {"monday.csv": "shift1.csv", "tuesday.csv": "shift2.csv"}, {"tau-dyn watch": "--patience 1"}
     ),
-    "docs/how_to/runs.md": Guide(),
+    "docs/how_to/runs.md": Guide(
+        python="""
+from tau_dyn.cli import main
+main("identify gantry_tau log.csv --holdout tuesday.csv --out runs/wednesday/ --quiet".split())
+"""
+    ),
     "docs/how_to/samples_and_fleet.md": Guide(GANTRY),
     "docs/reference/files.md": Guide(),
     "docs/reference/robots.md": Guide(),
+    "docs/how_to/accuracy.md": Guide(
+        options={"tau-dyn accuracy": "--grid 3 --samples 5 --method linear parallelepiped"}
+    ),
+    "docs/how_to/camera.md": Guide(options={"tau-dyn calibrate": "--model ideal"}),
+    "docs/how_to/modes.md": Guide(options={"tau-dyn modes bench.csv": "--order 4 --method n4sid"}),
+    "docs/how_to/optimal_motion.md": Guide(
+        {"ROBOT|MODEL.yaml": "gantry_tau", "ROBOT": "gantry_tau", "line|POINTS.csv": "line", "F ...": "900"}
+        | {"X Y Z --to X Y Z": "1.6 -0.65 0.7 --to 1.8 -0.6 0.75", "W": "1e-9", "SHARE": "0.1", "S": "0.004"},
+        python="""
+from tau_dyn import Model, load_robot
+from tau_dyn.simulate import CascadeLaw
+model = Model.of(load_robot("gantry_tau"))
+law = CascadeLaw.for_model(model)
+""",
+    ),
+    "docs/how_to/viewer.md": Guide(
+        {"why.json": "identified.json"},
+        {"tau-dyn view": "--for 0.1"},
+        """
+import shutil
+from tau_dyn.cli import main
+shutil.copy("monday.csv", "monday_sim.csv")
+main("identify gantry_tau monday.csv --json identified.json --quiet".split())
+main("workspace gantry_tau --resolution 0.5 --what condition --json workspace.json --out points.csv --quiet".split())
+main("accuracy gantry_tau --actuator-error 5e-5 --grid 3 --method linear --json accuracy.json --quiet".split())
+""",
+    ),
+    "docs/how_to/workspace.md": Guide(options={"tau-dyn workspace": "--resolution 0.4"}),
+    "docs/reference/python.md": Guide(
+        python="""
+import tau_dyn as td
+log = td.read_log("monday.csv")
+found = td.identify("gantry_tau", log)
+why = td.diagnose(found)
+"""
+    ),
 }
 """Pages that are executed."""
 
@@ -104,7 +159,13 @@ UNRUN = {
     "tau-dyn demo": "a minute; tests/cli/test_demo.py runs it",
     "tau-dyn fk ur.urdf.xacro": "needs a checkout of the ROS package ur_description",
     "tau-dyn fk unitree_go1/go1.xml": "needs a checkout of mujoco_menagerie",
-    "tau-dyn view": "serves a page until Ctrl-C; tests/view run it",
+    "tau-dyn see": "pictures of a camera; tests/cli/test_see.py draws and reads them",
+    "tau-dyn modes at1.csv": "minutes; tests/modes fit springs at poses",
+    "tau-dyn modes bench.unv": "needs a universal file; tests/log read such files",
+    "tau-dyn identify go2.urdf": "needs a recording of a quadruped; tests/legged simulate one",
+    "tau-dyn identify so101": "measured logs; experiments/without_torque.py runs it",
+    "tau-dyn diagnose linear_axis emps.csv": "measured logs; tests/identification run it",
+    "tau-dyn identify linear_axis $TAU_DYN_DATA": "measured logs; tests/identification run it",
     "python experiments/": "a study of minutes to hours; its page states what it measured",
     "python identification/": "measured logs; tests/identification run it",
 }

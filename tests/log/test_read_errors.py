@@ -46,7 +46,10 @@ def test_a_likely_mistake_is_named_with_its_remedy(tmp_path, wrong, words):
         (b"\x1f\x8b\x08" + bytes(300), "gzip"),
         (json.dumps({"t": [0, 1]}, indent=1).encode(), "is JSON"),
         (b'[{"t": 0}]', "is JSON"),
-        (b'<?xml version="1.0"?>\n<robot name="arm"/>\n', "is XML, such as a robot file; give the log first"),
+        (b'<?xml version="1.0"?>\n<robot name="arm"/>\n', "is XML, such as a robot file; were robot and log exchanged"),
+        (b"tau_dyn_model: 1\nrobot:\n  a: b\n", "is YAML, such as a model file"),
+        (b"# map\nq_axis: position\n", "is YAML, such as a model file"),
+        (b"- 1\n- two\n", "is YAML, such as a model file"),
         (b"t q_axis tau_axis\n" + b"".join(b"%.3f 0.1 1\n" % t for t in T), "separate names and cells by commas"),
     ],
 )

@@ -29,7 +29,7 @@ from tau_dyn.robot.packages import find_described_robot, find_package, list_stoc
 from tau_dyn.robot.xacro_evaluation import evaluate_xacro
 
 _LOG = "; this looks like a log; were robot and log exchanged?"
-_MODEL = "; is it a model file? Then give the robot's file first"
+_MODEL = "; is it a model file? A robot file is needed here"
 _SWAPPED = {
     ".csv": _LOG,
     ".parquet": _LOG,
@@ -100,6 +100,7 @@ def find_robot(robot: str | Path) -> Path:
             )
         return path
     if (path.suffix or len(path.parts) > 1) and str(robot) not in stock:
+        _refuse_folder(path)
         raise InputError(
             "file_not_found",
             f"{path}: no such robot file; give a .urdf or .urdf.xacro that exists, or a short name such as gantry_tau",
@@ -111,6 +112,7 @@ def find_robot(robot: str | Path) -> Path:
         return stock[str(robot)]
     if described := find_described_robot(str(robot)):
         return described.path
+    _refuse_folder(path)
     if str(robot).endswith("_description"):
         raise InputError(
             "file_not_found",
@@ -118,6 +120,13 @@ def find_robot(robot: str | Path) -> Path:
         )
     more = "" if stock else "; `pip install example-robot-data` adds stock arms such as ur5"
     raise UnknownName("robot", str(robot), [*ours, *stock], more=more)
+
+
+def _refuse_folder(path: Path) -> None:
+    if path.name and path.is_dir():
+        raise InputError(
+            "cannot_read", f"{path} is a folder; give the robot file in it, or a short name such as gantry_tau"
+        )
 
 
 def expand(

@@ -107,7 +107,7 @@ def load_robot(
     if hold:
         read_annotations(urdf, str(robot))
         urdf = hold_joints(urdf, hold, str(robot))
-    urdf = _float(urdf, tuple(contacts or ()), str(robot), floating=base == "floating")
+    urdf = _float(urdf, () if contacts is None else tuple(contacts), str(robot), floating=base == "floating")
     semantics = Path(srdf) if srdf is not None else find_srdf(path)
     found = load_robot_from_urdf(
         urdf,
