@@ -11,10 +11,9 @@ import pytest
 
 from tau_dyn import Log, Model, load_robot
 from tau_dyn.cli import main
-from tau_dyn.robot import find_robot
 
-KINDS = ("log.csv", "robot.urdf.xacro", "model.yaml", "result.json", "folder", "empty.csv", "binary.bin", "list.yaml")
-R, L, M, J = "robot.urdf.xacro", "log.csv", "model.yaml", "result.json"
+KINDS = ("log.csv", "robot.urdf", "model.yaml", "result.json", "folder", "empty.csv", "binary.bin", "list.yaml")
+R, L, M, J = "robot.urdf", "log.csv", "model.yaml", "result.json"
 CALLS = {
     "check @": L,
     "check log.csv @": R,
@@ -50,13 +49,13 @@ CALLS = {
     "plan-poses linear_axis --n 9 --camera @ --out p.csv": "",
     "plan-poses linear_axis --n 9 --tracker @ --out p.csv": "",
     "plan-motion @ --from 0 0 0 --to 0.3 0 0 --out p.csv": f"{R} {M}",
-    "plan-motion linear_axis --path @ --out p.csv": "",
+    "plan-motion linear_axis --from-joints 0 --to-joints 0.3 --path @ --out p.csv": "",
     "feedforward export @ --to c --out ff.c": f"{R} {M}",
     "export @ --to urdf --out e.urdf": f"{R} {M}",
     "export @ --to shaper --period 0.001 --out s.c": "",
     "export model.yaml --to reference --motion @ --out r.csv": L,
-    "export model.yaml --to reference --motion log.csv --correction @ --out r.csv": "",
-    "export model.yaml --to rapid --motion log.csv --actuators @ --out r.mod": "",
+    "export model.yaml --to reference --motion motion.csv --correction @ --out r.csv": "",
+    "export model.yaml --to mjlab --actuators @ --out r.py": "",
     "export model.yaml --to playground --samples @ --out r.py": "",
     "actuators @": L,
     "learn @ log.csv --out c.csv": L,
@@ -75,9 +74,9 @@ CALLS = {
     "payload linear_axis log.csv --loaded @": L,
     "watch @ log.csv": M,
     "watch model.yaml @": L,
-    "fleet @ log.csv other.csv": f"{R} {M}",
-    "fleet linear_axis a=@ b=other.csv": L,
-    "fleet linear_axis a=log.csv b=other.csv --model @": M,
+    "fleet @ log.csv other.csv third.csv": f"{R} {M}",
+    "fleet linear_axis a=@ b=other.csv c=third.csv": L,
+    "fleet linear_axis a=log.csv b=other.csv c=third.csv --model @": M,
     "compare @ model.yaml": M,
     "compare model.yaml @": M,
     "view @ --for 0.1": f"{R} {M}",
@@ -116,8 +115,11 @@ def files(tmp_path_factory):
     channels = {"q_axis": q, "tau_axis": 95 * np.gradient(np.gradient(q, t), t), "q_ref_axis": q}
     Log(t, channels).to_csv(folder / "log.csv")
     Log(t, channels | {"q_axis": 0.9 * q}).to_csv(folder / "other.csv")
+    Log(t, channels | {"q_axis": 0.8 * q}).to_csv(folder / "third.csv")
+    share = np.clip((t[:500] - 1) / 3, 0, 1)
+    Log(t[:500] * 0.4, {"q_ref_axis": 0.1 * share**3 * (10 - 15 * share + 6 * share**2)}).to_csv(folder / "motion.csv")
     Log(t, {"q_axis": q, "cmd_axis": q}).to_csv(folder / "commands.csv")
-    shutil.copy(find_robot("linear_axis"), folder / "robot.urdf.xacro")
+    (folder / "robot.urdf").write_text(load_robot("linear_axis").urdf, encoding="utf-8")
     Model.of(load_robot("linear_axis")).save(folder / "model.yaml")
     places = np.linspace(-0.4, 0.4, 12)
     zero = np.zeros(12)

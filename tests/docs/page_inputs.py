@@ -17,6 +17,7 @@ from tau_dyn import Log, Model, forward_kinematics, load_robot
 from tau_dyn.cli import main
 from tau_dyn.effects import build_friction_model
 from tau_dyn.modes import Actuator
+from tau_dyn.robot import Robot
 from tau_dyn.simulate import build_named_motion
 
 LAB = """
@@ -101,7 +102,7 @@ def write_trials() -> None:
     The tool's place is measured as `x_gauge` as well, and a model from the drive's place to the tool's is fitted to a shaken one.
     """
     t = 0.004 * np.arange(1000)
-    reference = 0.3 * rise(t, 1.0, 0.4)
+    reference = 0.05 * (1 - np.cos(np.pi * np.clip((t - 1) / 1.5, 0, 1)))  # the one of docs/how_to/learning.md
     command, rng = reference, np.random.default_rng(0)
     for name in ("t1.csv", "t2.csv"):
         place, acceleration = swing(command, 0.004)
@@ -113,6 +114,19 @@ def write_trials() -> None:
     gauge = swing(shaken, 0.004)[0] + 1e-7 * rng.standard_normal(1500)
     Log(0.004 * np.arange(1500), {"x_tool": shaken, "x_gauge": gauge}).to_csv("shaken.csv")
     main("modes shaken.csv --inputs x_tool --outputs x_gauge --order 2 --delay 0 --out kalman.yaml --quiet".split())
+
+
+ARM = """<robot name="arm"><link name="base_link"/><link name="arm_link"><inertial><origin xyz="0 0 -0.1"/><mass value="0.3"/>
+<inertia ixx="1e-3" iyy="1e-3" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="lift" type="revolute">
+<parent link="base_link"/><child link="arm_link"/><axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="3" velocity="6"/></joint></robot>
+"""
+
+
+def write_servo() -> Robot:
+    """Write a log of commands and positions of an arm with the servo of `law.yaml`, and return the arm."""
+    Path("arm.urdf").write_text(ARM, encoding="utf-8")
+    main("simulate arm.urdf --controller law.yaml --duration 12 --out chirp.csv --quiet".split())
+    return load_robot("arm.urdf")
 
 
 def write_drives() -> None:

@@ -60,7 +60,13 @@ q = robot.home[None]
 """,
     ),
     "docs/how_to/controller.md": Guide(
-        GANTRY | {"MOTION.csv": "reference.csv", "C.csv": "correction.csv", "joints|tool": "joints"},
+        GANTRY
+        | {
+            "MOTION.csv": "reference.csv",
+            "C.csv": "correction.csv",
+            "joints|tool": "joints",
+            "--mode 1 3": "--mode 1 2",
+        },
         python="""
 from page_blocks import ROOT, blocks
 from tau_dyn.cli import main
@@ -141,6 +147,16 @@ main("workspace gantry_tau --resolution 0.5 --what condition --json workspace.js
 main("accuracy gantry_tau --actuator-error 5e-5 --grid 3 --method linear --json accuracy.json --quiet".split())
 """,
     ),
+    "docs/how_to/without_torque.md": Guide(
+        python="""
+import page_inputs
+import tau_dyn as td
+robot = page_inputs.write_servo()
+"""
+    ),
+    "docs/how_to/plan_poses.md": Guide(
+        options={"tau-dyn plan-poses gantry_tau --camera camera.yaml --obstacles": "--n 12"}
+    ),
     "docs/how_to/workspace.md": Guide(options={"tau-dyn workspace": "--resolution 0.4"}),
     "docs/reference/python.md": Guide(
         python="""
@@ -159,6 +175,7 @@ UNRUN = {
     "tau-dyn demo": "a minute; tests/cli/test_demo.py runs it",
     "tau-dyn fk ur.urdf.xacro": "needs a checkout of the ROS package ur_description",
     "tau-dyn fk unitree_go1/go1.xml": "needs a checkout of mujoco_menagerie",
+    "tau-dyn plan-poses gantry_tau --camera placed.yaml": "needs a photograph; tests/cli/test_plan_poses.py draws one",
     "tau-dyn see": "pictures of a camera; tests/cli/test_see.py draws and reads them",
     "tau-dyn modes at1.csv": "minutes; tests/modes fit springs at poses",
     "tau-dyn modes bench.unv": "needs a universal file; tests/log read such files",
