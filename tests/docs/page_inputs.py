@@ -116,9 +116,18 @@ def write_trials() -> None:
     main("modes shaken.csv --inputs x_tool --outputs x_gauge --order 2 --delay 0 --out kalman.yaml --quiet".split())
 
 
+def write_axis() -> None:
+    """Write a log of a linear axis with unequal friction, 25 s."""
+    robot = load_robot("linear_axis")
+    model = Model.of(robot, build_friction_model("asymmetric", robot.actuated, robot.force_units))
+    drive = {"coulomb_pos": 20.0, "coulomb_neg": 15.0, "viscous_pos": 200.0, "viscous_neg": 180.0}
+    record(model.with_values({f"axis.{name}": value for name, value in drive.items()}), 25.0, 6).to_csv("axis.csv")
+
+
 ARM = """<robot name="arm"><link name="base_link"/><link name="arm_link"><inertial><origin xyz="0 0 -0.1"/><mass value="0.3"/>
 <inertia ixx="1e-3" iyy="1e-3" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="lift" type="revolute">
-<parent link="base_link"/><child link="arm_link"/><axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="3" velocity="6"/></joint></robot>
+<parent link="base_link"/><child link="arm_link"/><axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="3" velocity="6"/></joint>
+</robot>
 """
 
 
@@ -153,8 +162,10 @@ def write_guideways() -> None:
         table.to_csv(f"c{k}.csv", index=False)
     q = robot.home + rng.uniform(-0.1, 0.1, (6, robot.na))
     turned = Rotation.from_rotvec(2e-5 * rng.standard_normal((6, 3))).as_quat()
-    columns = [*(f"q_{joint}" for joint in robot.actuated), "qx_tool", "qy_tool", "qz_tool", "qw_tool"]
-    pd.DataFrame(np.hstack([q, turned]), columns=columns).to_csv("orientation.csv", index=False)
+    place = forward_kinematics(robot, q).poses.position
+    names = ["x_tool", "y_tool", "z_tool", "qx_tool", "qy_tool", "qz_tool", "qw_tool"]
+    columns = [*(f"q_{joint}" for joint in robot.actuated), *names]
+    pd.DataFrame(np.hstack([q, place, turned]), columns=columns).to_csv("orientation.csv", index=False)
 
 
 def write_bench() -> None:

@@ -160,9 +160,11 @@ robot = page_inputs.write_servo()
     "docs/how_to/workspace.md": Guide(options={"tau-dyn workspace": "--resolution 0.4"}),
     "docs/reference/python.md": Guide(
         python="""
+import page_inputs
 import tau_dyn as td
-log = td.read_log("monday.csv")
-found = td.identify("gantry_tau", log)
+page_inputs.write_axis()
+log = td.read_log("axis.csv")
+found = td.identify("linear_axis", log)
 why = td.diagnose(found)
 """
     ),

@@ -67,7 +67,7 @@ def present(result: Any, **options: Any) -> Presentation:
 def present_kind(result: Any, **options: Any) -> Presentation:
     """Return the presentation of a result of a kind; each kind's file registers its own function."""
     raise InputError(
-        "invalid_value", f"an object of type {type(result).__name__} is no result; give what a function returns"
+        "invalid_value", f"an object of type {type(result).__name__} is no result; give a result of this package"
     )
 
 
