@@ -26,11 +26,13 @@ class Guide:
         words: Words of the page and what stands for them.
         options: Beginnings of commands and options that shorten them.
         python: Code for the names that the page's Python takes for given.
+        data: File of the data folder that the page needs.
     """
 
     words: Mapping[str, str] = field(default_factory=dict)
     options: Mapping[str, str] = field(default_factory=dict)
     python: str = ""
+    data: str = ""
 
 
 GANTRY = {"ROBOT": "gantry_tau", "MODEL.yaml": "model.yaml"}
@@ -166,7 +168,8 @@ page_inputs.write_axis()
 log = td.read_log("axis.csv")
 found = td.identify("linear_axis", log)
 why = td.diagnose(found)
-"""
+""",
+        data="emps/DATA_EMPS.csv",
     ),
 }
 """Pages that are executed."""
@@ -218,9 +221,11 @@ def inputs(tmp_path_factory):
 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("name", GUIDES)
-def test_every_block_runs(name, inputs):
+def test_every_block_runs(name, inputs, measured):
     """Each command and each block of Python ends well, and shows what the page shows behind it."""
     guide = GUIDES[name]
+    if guide.data:
+        measured(guide.data)
 
     def prepare(folder: Path) -> str:
         shutil.copytree(inputs, folder, dirs_exist_ok=True)
@@ -241,3 +246,13 @@ def test_every_page_with_a_block_is_executed():
         if block.language == "python" or (block.language in LANGUAGES and adapt(Guide(), commands(block.text)))
     }
     assert {name for name in held if "tutorials/" not in name} == {*GUIDES}
+
+
+def test_a_line_that_fails_is_seen_before_one_that_works(tmp_path):
+    """The status of a block is the largest of its lines, and an error of Python is one of its block."""
+    lines = ["tau-dyn robots nowhere.urdf", "tau-dyn robots delta"]
+    shell = {"language": "sh", "title": "", "text": "", "commands": lines, "where": "here"}
+    python = {"language": "python", "title": "", "text": "1 / 0", "commands": [], "where": "here"}
+    first, second = play([shell, python], tmp_path)
+    assert first["status"] == 2 and "nowhere.urdf" in first["text"]
+    assert second["status"] == 1 and "ZeroDivisionError" in second["text"]
