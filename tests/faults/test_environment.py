@@ -39,27 +39,41 @@ def test_words_of_the_loader_are_recognised():
     assert describe_machine_fault(RuntimeError("something else")) is None
 
 
-@pytest.mark.parametrize("setting", [{"PYTHONWARNINGS": "error"}, {"COLUMNS": "0"}, {"COLUMNS": "-5", "LINES": "0"}])
-def test_an_odd_environment_changes_nothing(setting):
-    """Warnings of libraries stay warnings, and a terminal of no width is taken for an unknown one."""
-    done = subprocess.run(FK, capture_output=True, text=True, env=os.environ | setting)
+def test_a_terminal_without_columns_is_one_of_unknown_width():
+    """A calling program may set COLUMNS=0, at which no text can be wrapped."""
+    done = subprocess.run(FK, capture_output=True, text=True, env=os.environ | {"COLUMNS": "0"})
+    assert done.returncode == 0 and done.stderr == "" and "tool x" in done.stdout
+
+
+def import_slowly(name: str, action: str, then: str) -> list[str]:
+    """Return a program that does something when a module of this name is imported, and then something else."""
+    code = (
+        "import importlib.abc, pathlib, sys, time, warnings\n"
+        "class Finder(importlib.abc.MetaPathFinder):\n"
+        "    def find_spec(self, name, path, target=None):\n"
+        f"        if name == {name!r}:\n"
+        f"            {action}\n"
+        f"sys.meta_path.insert(0, Finder())\n{then}\n"
+    )
+    return [sys.executable, "-c", code]
+
+
+@pytest.mark.parametrize("name", ["tau_dyn.cli.app", "pinocchio"])
+def test_a_warning_of_a_library_is_no_fault(name):
+    """With PYTHONWARNINGS=error a library that warns while it is loaded, at the start or by a command, is loaded all the same."""
+    warn, run = "warnings.warn('old', DeprecationWarning)", "from tau_dyn.cli import main; sys.exit(main(sys.argv[1:]))"
+    command = [*import_slowly(name, warn, run), *FK[3:]]
+    done = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"PYTHONWARNINGS": "error"})
     assert done.returncode == 0 and done.stderr == "" and "tool x" in done.stdout
 
 
 def test_an_interrupt_while_it_loads_is_a_sentence(tmp_path: Path):
     """Ctrl-C within the imports ends with status 130 and one line."""
     mark = tmp_path / "loads"
-    code = (
-        "import sys, importlib.abc, pathlib, time\n"
-        "class Slow(importlib.abc.MetaPathFinder):\n"
-        "    def find_spec(self, name, path, target=None):\n"
-        "        if name == 'tau_dyn.cli.app':\n"
-        f"            pathlib.Path({str(mark)!r}).touch(); time.sleep(60)\n"
-        "sys.meta_path.insert(0, Slow())\n"
-        "import tau_dyn.cli\n"
-    )
+    wait = f"pathlib.Path({str(mark)!r}).touch(); time.sleep(60)"
+    command = import_slowly("tau_dyn.cli.app", wait, "import tau_dyn.cli")
     with subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler) and None,
     ) as running:  # fmt: skip
         begun = time.monotonic()
