@@ -52,7 +52,9 @@ def read_samples(path: Path, model: Model) -> np.ndarray:
         InputError: The file is not such a table, or belongs to another model.
     """
     if not path.is_file():
-        raise InputError("file_not_found", f"{path} is no file; identify --samples N --out writes the samples")
+        raise InputError(
+            "file_not_found", f"{path} does not exist or is a folder; identify --samples N --out writes the samples"
+        )
     try:
         frame = pd.read_csv(path) if path.suffix == ".csv" else pd.read_parquet(path)
         odd = min(set(frame.columns) ^ set(model.parameters.names), default="")

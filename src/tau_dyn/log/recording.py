@@ -390,8 +390,9 @@ def as_log(source: LogSource | Recording) -> Log | Recording:
 
 def as_logs(logs: LogSource | Iterable[LogSource]) -> list[Log]:
     """Return one log or many as a list; see `as_log`."""
-    alone = isinstance(logs, Log | str | Path | DataTable) or not isinstance(logs, Iterable)
-    return [as_log(one) for one in ([logs] if alone else logs)]
+    if isinstance(logs, Log | str | Path | DataTable) or not isinstance(logs, Iterable):
+        return [as_log(logs)]
+    return [as_log(one) for one in logs]
 
 
 def _read_column(table: DataTable, name: Any) -> np.ndarray:
