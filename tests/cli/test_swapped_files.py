@@ -95,7 +95,7 @@ CALLS = {
     "workspace linear_axis --obstacles @": "",
     "fk linear_axis --q 0.1 --srdf @": "",
     "fk linear_axis --q 0.1 --set @": "",
-    "robots @": "",
+    "robots @": R,
     "causes @": "",
     "data @": "",
     "demo @ --out dd": R,

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="sets limits of 
 FK = [sys.executable, "-m", "tau_dyn", "fk", "linear_axis", "--q", "0.1"]
 
 
-@pytest.mark.parametrize("kilobytes", [150_000, 60_000])
+@pytest.mark.parametrize("kilobytes", [400_000, 150_000, 100_000, 40_000])
 def test_a_limit_of_memory_is_a_sentence(kilobytes):
     """Below the size of its libraries the program ends with status 2 and one line, while it loads or at a command's work."""
     import resource

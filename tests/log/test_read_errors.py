@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 from raising import raises_code
 
@@ -58,6 +59,18 @@ def test_other_programs_files_are_called_by_their_name(tmp_path, data, words):
     (tmp_path / "odd.csv").write_bytes(data)
     with pytest.raises(InputError, match=words):
         read_log(tmp_path / "odd.csv")
+
+
+def test_a_lack_of_memory_is_not_blamed_on_the_file(tmp_path, monkeypatch):
+    """Pandas' parser states a lack of memory as an error of the text."""
+
+    def starved(*args, **options):
+        raise pd.errors.ParserError("Error tokenizing data. C error: out of memory")
+
+    path = written(tmp_path / "monday.csv")
+    monkeypatch.setattr(pd, "read_csv", starved)
+    with pytest.raises(MemoryError):
+        read_log(path)
 
 
 def test_a_header_in_brackets_is_a_header(tmp_path):

@@ -12,6 +12,7 @@ from tau_dyn.cli.ending import (  # first: Ctrl-C is handled from here on
     ignore_odd_environment,
     quiet_start,
     replace_unencodable,
+    require_address_space,
     say,
     unwind_on_signal,
 )
@@ -36,6 +37,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 if isinstance(text, str):
                     print(text)
                 return 0
+            require_address_space()
             return execute(call, name_own_file(call))
     except TauDynError as fault:
         say(f"error: {' '.join(str(fault).split())} [{fault.code}]")

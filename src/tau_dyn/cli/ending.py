@@ -23,6 +23,8 @@ from io import TextIOWrapper
 from types import FrameType, TracebackType
 from typing import Any, NoReturn
 
+from tau_dyn.exceptions import InputError
+
 ASKED = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 _MACHINE = {
@@ -133,6 +135,28 @@ def describe_machine_fault(fault: BaseException) -> str | None:
         return None
     where = f"{fault.filename}: " if fault.filename else ""
     return f"{where}{fault.strerror}; {_MACHINE[fault.errno]}"
+
+
+MIN_ADDRESS_SPACE = 7e8
+"""[bytes] `identify` of a small log ends well at this limit of address space, and not at 6e8 (measured on Linux)."""
+
+
+def require_address_space() -> None:
+    """Refuse a limit of address space (`ulimit -v`) below the libraries' size: their loaders abort without a Python error.
+
+    Raises:
+        InputError: The limit is below `MIN_ADDRESS_SPACE`.
+    """
+    with suppress(ImportError):  # Windows has no such limit
+        import resource
+
+        allowed = resource.getrlimit(resource.RLIMIT_AS)[0]
+        if 0 <= allowed < MIN_ADDRESS_SPACE:
+            raise InputError(
+                "not_available",
+                f"out of memory: this shell allows {allowed / 1e6:.0f} MB and the libraries of a command take "
+                f"{MIN_ADDRESS_SPACE / 1e6:.0f} MB; raise the limit (ulimit -v)",
+            )
 
 
 def say(sentence: str) -> None:
