@@ -72,7 +72,7 @@ def tabulate(result: Any) -> pd.DataFrame:
     """Return a result's main table as a pandas frame.
 
     Raises:
-        TypeError: The result has no table.
+        InputError: It is no result.
     """
     return build_frame(present(result))
 
