@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from inspect import signature
+from numbers import Integral
 from pathlib import Path
 from typing import Any, TypedDict, Unpack, overload
 
 from tau_dyn.diagnose import diagnose as diagnose_forces
 from tau_dyn.effects import FRICTION_MODELS
 from tau_dyn.evidence import Diagnosis
-from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.exceptions import InputError, UnknownName, require_kind, require_names
 from tau_dyn.identify import Choices, Identification, Logs, Preparation, get_log_list, identify as identify_forces
 from tau_dyn.log import Log, Recording
 from tau_dyn.message_codes import CodedWarning
@@ -59,16 +60,33 @@ class IdentifyOptions(ForceOptions, total=False):
     estimator: str
 
 
-def _refuse_unknown(function: Callable[..., Any], options: dict[str, Any]) -> None:
-    """Refuse an option that a function does not have, and name those that it has.
+_KINDS: dict[str, tuple[Any, str, str]] = {
+    "model": (str | Path | Model, "friction model", "rigid, symmetric, asymmetric, a model file or a Model"),
+    "choices": (Choices | None, "set of choices", "Choices(...)"),
+    "preparation": (Preparation | None, "preparation", "a Preparation"),
+    "seed": (Integral, "seed", "a whole number"),
+    "progress": (Callable, "progress", "a function of one word"),
+    "estimator": (str, "estimator", "auto, wls, ml, iv or robust"),
+}
+"""Options, the types that they take, what they are and what to give."""
+
+
+def _require_options(function: Callable[..., Any], options: dict[str, Any]) -> None:
+    """Refuse an option that a function does not have, and name those that it has; refuse a value of another type.
 
     Raises:
         UnknownName: Lists the options.
+        InputError: A value has another type than its option takes.
     """
     known = [name for name, p in signature(function).parameters.items() if p.kind is p.KEYWORD_ONLY]
     for name in options:
         if name not in known:
             raise UnknownName("option", name, known)
+        if name in _KINDS:
+            require_kind(options[name], *_KINDS[name])
+        elif name in ("exclude", "per_log"):
+            require_names(options[name], name)
+            options[name] = tuple(options[name])
 
 
 @overload
@@ -104,7 +122,7 @@ def identify(robot: Robot | str | Path, logs: Logs, *, controller: Controller = 
     if given and is_loop_log(given[0], machine):
         return identify_loop(machine, given, **_read_law(controller, machine), **options)
     _refuse_law(controller, given)
-    _refuse_unknown(identify_forces, options)
+    _require_options(identify_forces, options)
     return identify_forces(machine, given, **options)
 
 
@@ -158,7 +176,7 @@ def diagnose(
     if isinstance(machine, Robot) and given and is_loop_log(given[0], machine):
         return diagnose_loop(machine, given, **_read_law(controller, machine), **options)
     _refuse_law(controller, given)
-    _refuse_unknown(diagnose_forces, options)
+    _require_options(diagnose_forces, options)
     return diagnose_drives(machine, given, **options)
 
 

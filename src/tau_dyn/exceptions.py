@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from types import UnionType
 from typing import Any
 
 MAX_MESSAGE_CHARACTERS = 1000
@@ -111,6 +112,33 @@ class UnknownName(InputError, KeyError):
         near = suggest_nearest(str(name), names)  # in a file a name may be a number
         sentence = f"{where + ': ' if where else ''}no {kind} named '{name}'{near}; {there_are}{more}"
         super().__init__("unknown_name", sentence)
+
+
+def require_kind(value: object, kind: type | UnionType, name: str, remedy: str) -> None:
+    """Refuse a value of another type.
+
+    Args:
+        value: The value.
+        kind: Types that are accepted.
+        name: Name of such a value, for the message.
+        remedy: Advice for the message, behind "give".
+
+    Raises:
+        InputError: The value has another type.
+    """
+    if not isinstance(value, kind):
+        raise InputError("invalid_value", f"an object of type {type(value).__name__} is no {name}; give {remedy}")
+
+
+def require_names(value: object, name: str) -> None:
+    """Refuse a value that is no list of names; a lone string would be taken letter by letter.
+
+    Raises:
+        InputError: The value is a string, or cannot be iterated over.
+    """
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        given = f"the string '{value}'" if isinstance(value, str) else f"an object of type {type(value).__name__}"
+        raise InputError("invalid_value", f"{name} is a list of names, not {given}; write ['a', 'b']")
 
 
 class LoopClosureError(InputError):

@@ -20,7 +20,7 @@ from typing import Any
 
 import yaml
 
-from tau_dyn.exceptions import InputError
+from tau_dyn.exceptions import InputError, require_kind
 
 _NUMBER = count()
 _MAX_NAME_CHARACTERS = 120
@@ -61,6 +61,7 @@ def read_bytes(path: str | Path, most: int | None = None) -> bytes:
         InputError: The path is a device, a socket or a silent pipe, or the file is larger than `most`.
         OSError: Other faults that `open` reports.
     """
+    require_kind(path, str | os.PathLike, "path", "the name of a file")
     if os.path.isdir(path):
         raise IsADirectoryError(21, "is a folder", str(path))
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
@@ -182,13 +183,20 @@ def format_yaml(path: str | Path) -> str:
 def _yaml_of(path: str | Path) -> Iterator[str]:
     """Give a YAML file's text; faults of it become sentences."""
     try:
-        yield read_bytes(path, MAX_YAML_BYTES).decode("utf-8")
+        text = read_bytes(path, MAX_YAML_BYTES).decode("utf-8")
+        if text.lstrip().startswith(("<?xml", "<robot", "<mujoco", "<!")):
+            raise InputError("file_format", f"{path} is XML, such as a robot file; a YAML file is needed here")
+        yield text
     except InputError:
         raise
     except FileNotFoundError as fault:
         raise InputError("file_not_found", f"{path}: no such file") from fault
-    except (OSError, UnicodeDecodeError) as fault:
-        raise InputError("cannot_read", f"{path}: cannot be read as text ({fault})") from fault
+    except UnicodeDecodeError as fault:
+        raise InputError("cannot_read", f"{path} is no text in UTF-8; a YAML file is needed here") from fault
+    except OSError as fault:
+        raise InputError(
+            "cannot_read", f"{path}: cannot be read ({fault.strerror}); a YAML file is needed here"
+        ) from fault
     except YAML_FAULTS as fault:
         mark, problem = getattr(fault, "problem_mark", None), getattr(fault, "problem", None) or str(fault)
         line = "" if mark is None else f", line {mark.line + 1}"
@@ -199,8 +207,9 @@ def resolve_destination(path: str | Path) -> Path:
     """Return the path of a file to be written: links are followed, but a pipe or a device keeps its name.
 
     Raises:
-        InputError: A link leads to itself, or the current folder does not exist any more.
+        InputError: It is no path, a link leads to itself, or the current folder does not exist any more.
     """
+    require_kind(path, str | os.PathLike, "path", "the name of a file")
     path = Path(path)
     try:
         kind = os.stat(path).st_mode

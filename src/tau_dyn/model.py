@@ -27,7 +27,7 @@ from tau_dyn.effects import (
     name_effect_in_errors,
     read_effects,
 )
-from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.exceptions import InputError, UnknownName, require_kind
 from tau_dyn.files import read_yaml, write_whole
 from tau_dyn.log import (
     MIN_SEGMENT_SAMPLES,
@@ -43,7 +43,7 @@ from tau_dyn.log import (
 from tau_dyn.mechanism import Mechanism, build_mechanism
 from tau_dyn.parameters import Parameters
 from tau_dyn.results import Shown
-from tau_dyn.robot import INERTIAL, Robot, load_robot_from_urdf
+from tau_dyn.robot import INERTIAL, Robot, as_robot, load_robot_from_urdf
 
 _FORMAT = 1  # version of the model file's layout
 
@@ -104,11 +104,16 @@ class Model(Shown):
     controller: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, robot: Robot, effects: Iterable[Effect] = (), provenance: Mapping[str, Any] | None = None) -> Model:
-        """Build a model with every effect at zero."""
+    def of(
+        cls, robot: Robot | str | Path, effects: Iterable[Effect] = (), provenance: Mapping[str, Any] | None = None
+    ) -> Model:
+        """Build a model of a robot, its file or short name, with every effect at zero."""
+        require_kind(effects, Iterable, "list of effects", "effects, as build_friction_model returns them")
         effects = tuple(effects)
+        for effect in effects:
+            require_kind(effect, Effect, "effect", "effects, as build_friction_model returns them")
         parameters = Parameters([p for effect in effects for p in effect.parameters])
-        return cls(robot, effects, parameters, dict(provenance or {}))
+        return cls(as_robot(robot), effects, parameters, dict(provenance or {}))
 
     @property
     def parameters(self) -> Parameters:

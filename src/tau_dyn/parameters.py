@@ -15,12 +15,24 @@ from typing import Any, overload
 
 import numpy as np
 
-from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.exceptions import InputError, UnknownName, require_kind
 from tau_dyn.results import Shown, count, format_estimate
 
 _MAX_SHOWN = 10  # parameters in a `repr`
 MAX_VALUE = 1e15
 """Largest value in a file [SI units], as in a log; with larger values sums of squares lose all other numbers."""
+
+
+def as_numbers(values: object, name: str) -> np.ndarray:
+    """Return values as an array of floats, of the shape that they have.
+
+    Raises:
+        InputError: One of them is no number.
+    """
+    try:
+        return np.asarray(values, dtype=float)
+    except (TypeError, ValueError) as fault:
+        raise InputError("invalid_value", f"{name} has to hold numbers ({fault})") from fault
 
 
 @dataclass(frozen=True)
@@ -183,7 +195,8 @@ class Parameters(Shown):
                     "wrong_shape", f"expected {len(self)} values, one a parameter, not an array of shape {values.shape}"
                 )
             values = dict(zip(self.names, values.tolist(), strict=True))
-        return self.update({name: {"value": float(value)} for name, value in values.items()})
+        require_kind(values, Mapping, "set of values", "a dictionary from name to number, or an array")
+        return self.update({name: {"value": float(as_numbers(value, name))} for name, value in values.items()})
 
     def update(self, changes: Mapping[str, Mapping[str, Any]]) -> Parameters:
         """Return a copy in which the named parameters have some attributes replaced."""

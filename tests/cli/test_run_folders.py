@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +15,7 @@ import pytest
 from tau_dyn.cli import COMMANDS, execute, main, parse
 from tau_dyn.cli.execute import Outcome
 from tau_dyn.cli.run_folder import RunFolder
-from tau_dyn.exceptions import CannotAnswer
+from tau_dyn.exceptions import CannotAnswer, InputError
 
 FK = ["fk", "linear_axis", "--q", "0.1", "--quiet"]
 
@@ -205,3 +208,27 @@ def test_the_demo_goes_beside_what_is_there(tmp_path):
     deeper = tmp_path / "a" / "b.d"
     call = parse(["demo", "--out", str(deeper), "--quiet"])
     assert execute(replace(call, function=lambda *_, **__: Outcome())) == 0 and (deeper / "run.json").is_file()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the lock is one of Unix")
+def test_of_two_runs_that_end_at_once_the_second_waits(tmp_path):
+    """While one run writes a folder another one does not touch it; then it replaces the folder of the same call."""
+    with ThreadPoolExecutor(1) as pool:
+        with RunFolder(tmp_path / "one").locked():
+            second = pool.submit(called, tmp_path, lambda args: Outcome())
+            time.sleep(0.5)
+            waits = not second.done() and not list(tmp_path.iterdir())
+        assert waits and second.result() == 0
+    assert set(tree(tmp_path)) == {"one/run.json", "one/result.json"}
+
+
+def test_a_folder_that_another_run_filled_meanwhile_is_kept(tmp_path):
+    """The other run has other options: the later one is refused, and every byte stays as it was."""
+
+    def fill(args):
+        assert run(*FK, "--out", tmp_path / "one") == 0
+        return Outcome()
+
+    with pytest.raises(InputError, match="holds a run of tau-dyn fk"):
+        called(tmp_path, fill)
+    assert set(tree(tmp_path)) == {"one/run.json", "one/result.json", "one/report.html", "one/poses.csv"}

@@ -1,12 +1,12 @@
 """A page of documentation as blocks: what its fences hold, what they show, and where.
 
-A page that is executed is read from its top to its end, in one empty folder:
+A page that is executed is read from its top to its end, in one folder:
 
     ```yaml title="truth.yaml"    a fence with a title is a file
     ```bash                       lines for a shell
     ```python                     Python, in one session a page
     ```text                       right behind either of them: what appeared, compared
-    ```sh                         for reading only, as all other fences
+    ```sh                         lines for a shell on guides; on tutorials for reading only, as all other fences
 """
 
 from __future__ import annotations
@@ -68,11 +68,11 @@ def blocks(page: str) -> list[Block]:
     return found
 
 
-def steps(page: str) -> list[Step]:
-    """Return what a reader does, in order."""
+def steps(page: str, languages: tuple[str, ...] = ("bash", "python")) -> list[Step]:
+    """Return what a reader does, in order: titled files, and blocks in these languages."""
     found, all_of_them = [], blocks(page)
     for k, block in enumerate(all_of_them):
-        if block.title or block.language in ("bash", "python"):
+        if block.title or block.language in languages:
             following = all_of_them[k + 1] if k + 1 < len(all_of_them) else None
             shows = following is not None and following.language == "text" and following.behind and not block.title
             found.append(Step(block, following if shows else None))

@@ -1,6 +1,7 @@
-"""Plays a page's steps in the current folder and says what appeared: `python page_play.py STEPS.json RESULT.json`.
+"""Plays pages: reads `[FOLDER, STEPS.json, RESULT.json]` line by line, plays the steps in the folder, and answers with a line.
 
 It runs as a program of its own, so that nothing that a page does (an effect registered, a style set) stays in pytest's process.
+It loads the package once; each page is played in a copy of this process (`fork`).
 A line that is a plain `tau-dyn` command calls the command line's `main` in this process, which spares loading the libraries
 again; any other line goes to bash, where `python` is this interpreter and `tau-dyn` is this package.
 """
@@ -44,7 +45,7 @@ def in_shell(line: str) -> int:
 
 
 def play(step: dict[str, Any], session: dict[str, Any]) -> int:
-    """Do one step and return its exit status."""
+    """Do one step and return the largest exit status of its lines."""
     if step["title"]:
         Path(step["title"]).parent.mkdir(parents=True, exist_ok=True)
         Path(step["title"]).write_text(step["text"], encoding="utf-8")
@@ -55,12 +56,12 @@ def play(step: dict[str, Any], session: dict[str, Any]) -> int:
     status = 0
     for line in step["commands"]:
         plain = line.startswith("tau-dyn ") and not _FOR_THE_SHELL & set(line)
-        status = tau_dyn(shlex.split(line)[1:]) if plain else in_shell(line)
+        status = max(status, tau_dyn(shlex.split(line)[1:]) if plain else in_shell(line))
     return status
 
 
-def main(given: str, result: str) -> None:
-    """Play all steps; the first that fails in Python ends it."""
+def play_page(given: str, result: str) -> None:
+    """Play all steps in the current folder."""
     os.environ |= {"COLUMNS": "80", "TERM": "dumb", "NO_COLOR": "1"}
     sys.path.insert(0, os.getcwd())
     session: dict[str, Any] = {"__name__": "__main__"}
@@ -78,5 +79,24 @@ def main(given: str, result: str) -> None:
     Path(result).write_text(json.dumps(said), encoding="utf-8")
 
 
+def serve() -> None:
+    """Play the pages that stdin names, one after the other."""
+    import tau_dyn
+
+    for name in tau_dyn.__all__:
+        getattr(tau_dyn, name)
+    for line in sys.stdin:
+        folder, given, result = json.loads(line)
+        if (page := os.fork()) == 0:
+            os.dup2(2, 1)  # the pipe is for answers alone
+            os.chdir(folder)
+            try:
+                play_page(given, result)
+                os._exit(0)
+            finally:
+                os._exit(1)
+        print(os.waitstatus_to_exitcode(os.waitpid(page, 0)[1]), flush=True)
+
+
 if __name__ == "__main__":
-    main(*sys.argv[1:3])
+    serve()

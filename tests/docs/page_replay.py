@@ -1,4 +1,4 @@
-"""A page executed in an empty folder, step by step; and the page with what appeared put in.
+"""A page executed in a folder, step by step; and the page with what appeared put in.
 
     python tests/docs/page_replay.py docs/tutorials/identify.md [...] [--write]
 
@@ -12,8 +12,11 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))
 from page_blocks import ROOT, Step, commands, steps
@@ -40,30 +43,70 @@ class Played:
         return differences(shown, self.came) if self.step.shown is not None else ""
 
 
-def replay(page: Path) -> list[Played]:
-    """Execute a page's steps in an empty folder and return what appeared."""
-    found = steps(page.read_text(encoding="utf-8"))
+def replay(
+    page: Path,
+    languages: tuple[str, ...] = ("bash", "python"),
+    prepare: Callable[[Path], str] = lambda folder: "",
+    adapt: Callable[[list[str]], list[str]] = list,
+) -> list[Played]:
+    """Execute a page's steps in a folder of their own and return what appeared.
+
+    Args:
+        page: The page.
+        languages: Languages of the blocks that are executed.
+        prepare: Writes the files that the page takes for given into the folder; returns Python that comes first.
+        adapt: Returns a block's commands in the form in which they are executed.
+    """
+    found = steps(page.read_text(encoding="utf-8"), languages)
     given = [
         {
             "language": s.block.language,
             "title": s.block.title,
             "text": s.block.text,
-            "commands": commands(s.block.text),
+            "commands": adapt(commands(s.block.text)),
             "where": f"{page.name}:{s.block.line}",
         }
         for s in found
     ]
-    with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryDirectory() as aside:
-        asked, said = Path(aside, "steps.json"), Path(aside, "said.json")
-        asked.write_text(json.dumps(given), encoding="utf-8")
-        play = Path(__file__).with_name("page_play.py")
-        one_thread = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-        measured = {"TAU_DYN_DATA": os.environ.get("TAU_DYN_DATA", str(ROOT.parent / "shared" / "data"))}
-        subprocess.run(
-            [sys.executable, play, asked, said], cwd=folder, env=os.environ | one_thread | measured, check=True
-        )
-        answers = json.loads(said.read_text(encoding="utf-8"))
+    with tempfile.TemporaryDirectory() as folder:
+        first = prepare(Path(folder))
+        for step in given if first else ():  # a guide shows some files after the commands that read them
+            if step["title"]:
+                Path(folder, step["title"]).write_text(step["text"], encoding="utf-8")
+        answers = play([_python(first), *given], Path(folder))[1:]
+    idle = [not (g["title"] or g["language"] == "python" or g["commands"]) for g in given]
+    found = [
+        Step(s.block, None) if left else s for s, left in zip(found, idle, strict=True)
+    ]  # not executed: nothing came
     return [Played(s, a["status"], a["text"], a["seconds"]) for s, a in zip(found, answers, strict=True)]
+
+
+def _python(text: str) -> dict[str, Any]:
+    return {"language": "python", "title": "", "text": text, "commands": [], "where": "given"}
+
+
+def play(steps: list[dict[str, Any]], folder: Path) -> list[dict[str, Any]]:
+    """Play steps in a folder and return status, text and CPU seconds of each."""
+    with tempfile.TemporaryDirectory() as aside:
+        asked, said = Path(aside, "steps.json"), Path(aside, "said.json")
+        asked.write_text(json.dumps(steps), encoding="utf-8")
+        player = _player()
+        assert player.stdin and player.stdout
+        player.stdin.write(json.dumps([str(folder), str(asked), str(said)]) + "\n")
+        player.stdin.flush()
+        assert player.stdout.readline() == "0\n", "the page ended its process"
+        return json.loads(said.read_text(encoding="utf-8"))
+
+
+@cache
+def _player() -> subprocess.Popen[str]:
+    """Return the program that plays pages; it ends with this process, which holds its stdin."""
+    one_thread = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    measured = {"TAU_DYN_DATA": os.environ.get("TAU_DYN_DATA", str(ROOT.parent / "shared" / "data"))}
+    command = [sys.executable, str(Path(__file__).with_name("page_play.py"))]
+    return subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=os.environ | one_thread | measured
+    )
 
 
 def renewed(page: str, played: list[Played]) -> str:

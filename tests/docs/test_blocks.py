@@ -1,4 +1,4 @@
-"""What pages give to copy holds: Python compiles, and `tau-dyn` lines are ones that the command line takes."""
+"""What pages give to copy holds: Python compiles, the command line takes `tau-dyn` lines, scripts have their options."""
 
 from __future__ import annotations
 
@@ -48,6 +48,30 @@ def test_commands_parse(name):
             parse(shlex.split(line)[1:], app)
         except Exception as fault:
             pytest.fail(f"{name}: {line}\n{fault}")
+
+
+_SCRIPT = re.compile(r"\bpython ((?:experiments|identification)/\S+\.py)(.*)")
+
+
+def read_script(path: Path, read: set[Path]) -> str:
+    """Return a script's text and that of the modules next to it that it imports."""
+    if path in read or not path.exists():
+        return ""
+    read.add(path)
+    text = path.read_text(encoding="utf-8")
+    beside = re.findall(r"^\s*(?:from|import) (\w+)", text, re.M)
+    return text + "".join(read_script(path.with_name(f"{name}.py"), read) for name in beside)
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_scripts_have_the_options(name):
+    """A study that takes minutes or hours is not executed here; its script is there, with every option that the page gives."""
+    shell = [b for b in blocks((ROOT / name).read_text(encoding="utf-8")) if b.language in ("", "bash", "sh")]
+    for line in (line for block in shell for line in commands(block.text)):
+        if found := _SCRIPT.search(line):
+            text = read_script(ROOT / found[1], set())
+            options = re.findall(r"(?<=[\s\[])--[\w-]+", found[2])
+            assert text and [option for option in options if f'"{option}"' not in text] == [], line
 
 
 def test_there_are_commands_to_parse():

@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 from raising import raises_code
 
@@ -46,7 +47,10 @@ def test_a_likely_mistake_is_named_with_its_remedy(tmp_path, wrong, words):
         (b"\x1f\x8b\x08" + bytes(300), "gzip"),
         (json.dumps({"t": [0, 1]}, indent=1).encode(), "is JSON"),
         (b'[{"t": 0}]', "is JSON"),
-        (b'<?xml version="1.0"?>\n<robot name="arm"/>\n', "is XML, such as a robot file; give the log first"),
+        (b'<?xml version="1.0"?>\n<robot name="arm"/>\n', "is XML, such as a robot file; were robot and log exchanged"),
+        (b"tau_dyn_model: 1\nrobot:\n  a: b\n", "is YAML, such as a model file"),
+        (b"# map\nq_axis: position\n", "is YAML, such as a model file"),
+        (b"- 1\n- two\n", "is YAML, such as a model file"),
         (b"t q_axis tau_axis\n" + b"".join(b"%.3f 0.1 1\n" % t for t in T), "separate names and cells by commas"),
     ],
 )
@@ -55,6 +59,18 @@ def test_other_programs_files_are_called_by_their_name(tmp_path, data, words):
     (tmp_path / "odd.csv").write_bytes(data)
     with pytest.raises(InputError, match=words):
         read_log(tmp_path / "odd.csv")
+
+
+def test_a_lack_of_memory_is_not_blamed_on_the_file(tmp_path, monkeypatch):
+    """Pandas' parser states a lack of memory as an error of the text."""
+
+    def starved(*args, **options):
+        raise pd.errors.ParserError("Error tokenizing data. C error: out of memory")
+
+    path = written(tmp_path / "monday.csv")
+    monkeypatch.setattr(pd, "read_csv", starved)
+    with pytest.raises(MemoryError):
+        read_log(path)
 
 
 def test_a_header_in_brackets_is_a_header(tmp_path):

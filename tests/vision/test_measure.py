@@ -159,6 +159,14 @@ def test_a_file_that_is_no_cameras_is_refused(tmp_path, text):
         read_cameras(tmp_path / "c.yaml")
 
 
+@pytest.mark.parametrize("text", ["", "- 1\n", "t,q\n0,1\n", "cameras: []\n"])
+def test_a_file_without_a_list_of_cameras_is_named_so(tmp_path, text):
+    """An empty file, a list or a table is named, without words of Python's own."""
+    (tmp_path / "c.yaml").write_text(text)
+    with raises_code("file_format", "no list of cameras in it"):
+        read_cameras(tmp_path / "c.yaml")
+
+
 def test_cameras_of_another_size_are_refused(album, rig, table):
     """A calibration holds for its image size only, and for as many cameras."""
     cameras = table.cameras

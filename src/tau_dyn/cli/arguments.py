@@ -285,7 +285,7 @@ class RobotOptions:
             raise InputError(
                 "file_format",
                 f"{path}: a robot file ends in .urdf or .urdf.xacro, a calibration's begins with tau_dyn_calibration; "
-                "is it a model file? Then give the robot's file first",
+                "is it a model file? A robot file is needed here",
             )
         if given or self.actuated or self.tool or self.package or self.srdf or self.hold:
             raise InputError("bad_option", f"{path}: a calibrated robot has its arguments, joints and tool already")

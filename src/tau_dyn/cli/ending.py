@@ -16,11 +16,14 @@ import signal
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from io import TextIOWrapper
-from types import FrameType
-from typing import Any
+from types import FrameType, TracebackType
+from typing import Any, NoReturn
+
+from tau_dyn.exceptions import InputError
 
 ASKED = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 
@@ -38,6 +41,11 @@ _MACHINE = {
     errno.ENAMETOOLONG: "give it a shorter name",
 }
 """Resources that a machine may lack, and the remedy; these are no defects of the program."""
+
+_NO_MEMORY = ("failed to map segment", "annot allocate memory", "can't start new thread")
+"""Words of errors that the system's loader and Python raise under a limit of memory (`ulimit -v`)."""
+
+INTERRUPTED = "interrupted; every output file is as it was, or complete"
 
 
 _AGAIN_S = 0.05
@@ -117,14 +125,38 @@ def unwind_on_signal() -> Iterator[None]:
             signal.signal(number, usual[number])
 
 
-def describe_machine_fault(fault: OSError | MemoryError) -> str | None:
+def describe_machine_fault(fault: BaseException) -> str | None:
     """Return a sentence about the resource that the machine lacks, or None for other faults."""
     if isinstance(fault, MemoryError):
         return "out of memory; give a shorter log or an excerpt, or a machine with more"
-    if fault.errno not in _MACHINE:
+    if isinstance(fault, ImportError | RuntimeError) and any(words in str(fault) for words in _NO_MEMORY):
+        return "out of memory while a library was loaded; raise the limit (ulimit -v), or free some memory"
+    if not isinstance(fault, OSError) or fault.errno not in _MACHINE:
         return None
     where = f"{fault.filename}: " if fault.filename else ""
     return f"{where}{fault.strerror}; {_MACHINE[fault.errno]}"
+
+
+MIN_ADDRESS_SPACE = 7e8
+"""[bytes] `identify` of a small log ends well at this limit of address space, and not at 6e8 (measured on Linux)."""
+
+
+def require_address_space() -> None:
+    """Refuse a limit of address space (`ulimit -v`) below the libraries' size: their loaders abort without a Python error.
+
+    Raises:
+        InputError: The limit is below `MIN_ADDRESS_SPACE`.
+    """
+    with suppress(ImportError):  # Windows has no such limit
+        import resource
+
+        allowed = resource.getrlimit(resource.RLIMIT_AS)[0]
+        if 0 <= allowed < MIN_ADDRESS_SPACE:
+            raise InputError(
+                "not_available",
+                f"out of memory: this shell allows {allowed / 1e6:.0f} MB and the libraries of a command take "
+                f"{MIN_ADDRESS_SPACE / 1e6:.0f} MB; raise the limit (ulimit -v)",
+            )
 
 
 def say(sentence: str) -> None:
@@ -138,11 +170,16 @@ MIN_COLUMNS = 20
 """Smallest width of a terminal at which text can be wrapped; a calling program may set zero."""
 
 
-def ignore_narrow_terminal() -> None:
-    """Remove a terminal width from the environment that is too small to wrap text."""
+def ignore_odd_environment() -> None:
+    """Remove settings of the environment under which libraries fail.
+
+    These are a terminal's width that is too small to wrap text, and PYTHONWARNINGS, whose `error` makes a fault of each warning
+    in a library and in the processes that a command starts.
+    """
     columns = os.environ.get("COLUMNS", "")
     if columns.isascii() and columns.isdigit() and int(columns[:6]) < MIN_COLUMNS:
         del os.environ["COLUMNS"]
+    os.environ.pop("PYTHONWARNINGS", None)
 
 
 def replace_unencodable() -> None:
@@ -153,18 +190,37 @@ def replace_unencodable() -> None:
 
 
 class QuietStart:
-    """Ends the program without a message at Ctrl-C while it loads: no work has begun, and a traceback would not help."""
+    """Ends the program in one line while it loads, at Ctrl-C and where memory is short, and hides warnings of libraries."""
 
     def __init__(self) -> None:
         """Begin."""
+        self._hidden = warnings.catch_warnings(action="ignore")
+        self._hidden.__enter__()
+        self._hook, sys.excepthook = sys.excepthook, self._end
         self._before: Any = None
         if _in_main_thread() and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-            self._before = signal.signal(signal.SIGINT, signal.SIG_DFL)
+            self._before = signal.signal(signal.SIGINT, _leave)
 
     def over(self) -> None:
-        """Restore Python's own handler of Ctrl-C."""
+        """Restore Python's own handler of Ctrl-C, its filters of warnings and its display of errors."""
         if self._before is not None:
             signal.signal(signal.SIGINT, self._before)
+        sys.excepthook = self._hook
+        self._hidden.__exit__(None, None, None)
+
+    def _end(self, kind: type[BaseException], fault: BaseException, trace: TracebackType | None) -> None:
+        """Show an error that ends the program while it loads (`sys.excepthook`)."""
+        if (sentence := describe_machine_fault(fault)) is None:
+            self._hook(kind, fault, trace)
+            return
+        say(f"error: {sentence}")
+        raise SystemExit(2)
+
+
+def _leave(number: int, frame: FrameType | None) -> NoReturn:
+    """End the program at once: an exception would be wrapped or lost by the import that it interrupts."""
+    say(INTERRUPTED)
+    os._exit(128 + number)
 
 
 def _importing(frame: FrameType | None) -> bool:

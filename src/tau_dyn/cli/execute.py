@@ -329,8 +329,7 @@ def _write(run: _Run, outcome: Outcome) -> tuple[str, dict[str, str]]:
     values, folder, command_line = run.values, run.folder, format_command_line()
     about = build_result_envelope(run.call.command, values["seed"], outcome.inputs, "ok", outcome.warnings)
     files = {path: content for path, content in outcome.files.items() if path is not None}
-    _refuse_overwritten(run, files)
-    named = dict(outcome.named)
+    own, named = set(files), dict(outcome.named)
     if values["report"] is not None and outcome.has_page():
         files |= dict.fromkeys(_twice(values["report"], folder, 2), outcome.build_page(command_line))
         named["report"] = values["report"]
@@ -341,6 +340,9 @@ def _write(run: _Run, outcome: Outcome) -> tuple[str, dict[str, str]]:
         files |= dict.fromkeys(_twice(values["json"], folder, 1), text)
         named["result"] = values["json"]
     with ExitStack() as staged:
+        if folder is not None:
+            staged.enter_context(folder.locked())
+        _refuse_overwritten(run, own)
         room = None if folder is None else staged.enter_context(folder.writing())
         for path, content in files.items():
             inside = room is not None and folder is not None and folder.holds(path)

@@ -142,8 +142,9 @@ def export(
         raise InputError(
             "bad_option", f"--to {to} {'needs --motion MOTION.csv' if chosen.moves else 'takes no --motion'}"
         )
-    if options.samples is not None and to not in _TRAINERS:
-        raise InputError("bad_option", f"--samples goes with --to {', '.join(_TRAINERS)}, not with {to}")
+    for name, formats in _ONLY_FOR.items():
+        if getattr(options, name) is not None and to not in formats:
+            raise InputError("bad_option", f"--{name} goes with --to {', '.join(formats)}, not with {to}")
     with show_progress(output.quiet) as step:
         step("writing")
         made = chosen.make(_Request(model, to, path, options, robot_options, filter_options))
@@ -203,7 +204,12 @@ def _make_exchanged(request: _Request) -> Made:
     return Made(files, said, result, (*made.left_out, *made.by_callback, *price))
 
 
-_TRAINERS = ("mjlab", "isaaclab", "playground")
+_ONLY_FOR = {
+    "samples": ("mjlab", "isaaclab", "playground"),
+    "actuators": ("bam", "mjlab", "isaaclab"),
+    "correction": ("reference", "rapid"),
+}
+"""Options that name a file, and the formats that read it."""
 
 
 def _make_randomisation(request: _Request) -> Made:

@@ -165,7 +165,9 @@ def _read_poses(path: Path) -> dict[str, dict[str, float]]:
     from tau_dyn.files import read_yaml
 
     content, found = read_yaml(path), {}
-    for name, pose in content.items() if isinstance(content, dict) else [("", None)]:
+    if not isinstance(content, dict):
+        raise InputError("file_format", f"{path}: poses are lines LOG: {{JOINT: VALUE, ..}} in m or rad")
+    for name, pose in content.items():
         values: dict[Any, Any] = pose if isinstance(pose, dict) else {"": None}
         if not all(isinstance(v, int | float) and not isinstance(v, bool) for v in values.values()):
             raise InputError(

@@ -5,7 +5,8 @@ name, such as `model.yaml`. A path that ends in `/`, has no suffix, or exists as
 
 A new folder is created atomically. An existing folder is used if it is empty, or if it holds a run of the same command with the
 same options whose files were not changed; this run is replaced. No other files are overwritten. Only the demo writes into a
-folder with other files. `run.json` is removed first and written last, so that a folder with a `run.json` is complete.
+folder with other files. `run.json` is removed first and written last, so that a folder with a `run.json` is complete. Of two runs
+that end at once the second waits, and replaces or refuses the first one's folder like any other.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import platform
 import shutil
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -102,6 +103,22 @@ class RunFolder:
     def holds(self, path: Path) -> bool:
         """Return whether a file is in this folder."""
         return path.parent.resolve() == self.path.resolve()  # the location of a link, not its target
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Wait until no other run on this machine writes this folder, and hold it until the block ends."""
+        handle = None
+        with suppress(ImportError, OSError):  # Windows; a file system without locks
+            import fcntl
+
+            near = next(p for p in self.path.resolve().parents if p.is_dir())
+            handle = os.open(near, os.O_RDONLY)
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        try:
+            yield
+        finally:
+            if handle is not None:
+                os.close(handle)
 
     @contextmanager
     def writing(self) -> Iterator[Path]:

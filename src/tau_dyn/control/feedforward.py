@@ -25,8 +25,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tau_dyn.effects import Effect, Motion, describe_missing_state
-from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.exceptions import InputError, UnknownName, require_kind
 from tau_dyn.model import BY_STATE, Model
+from tau_dyn.parameters import as_numbers
 
 if TYPE_CHECKING:
     from tau_dyn.control.compiled_feedforward import CompiledFeedforward
@@ -64,11 +65,12 @@ class Feedforward:
 
         Raises:
             UnknownName: The shape is neither.
-            InputError: A width that is not positive.
+            InputError: The model is no `Model`, or a width is not positive.
         """
         if shape not in SHAPES:
             raise UnknownName("shape of the smoothed sign", shape, SHAPES)
-        widths = np.asarray(width, float)
+        require_kind(model, Model, "model", "a Model; Feedforward.load takes the path of its file")
+        widths = as_numbers(width, "the width of the smoothed sign")
         if widths.shape not in ((), (model.robot.na,)):
             raise InputError(
                 "wrong_shape",

@@ -52,13 +52,17 @@ def read_samples(path: Path, model: Model) -> np.ndarray:
         InputError: The file is not such a table, or belongs to another model.
     """
     if not path.is_file():
-        raise InputError("file_not_found", f"{path} does not exist; identify --samples N --out writes it")
+        raise InputError(
+            "file_not_found", f"{path} does not exist or is a folder; identify --samples N --out writes the samples"
+        )
     try:
         frame = pd.read_csv(path) if path.suffix == ".csv" else pd.read_parquet(path)
         odd = min(set(frame.columns) ^ set(model.parameters.names), default="")
         values = frame[list(model.parameters.names)].to_numpy(float) if not odd else np.zeros((0, 0))
     except (ValueError, OSError) as fault:
-        raise InputError("file_format", f"{path} is no table of samples: {fault}") from fault
+        raise InputError(
+            "file_format", f"{path} is no table of samples; identify --samples N --out writes one (.parquet or .csv)"
+        ) from fault
     if odd:
         raise InputError("mismatch", f"{path}: parameter '{odd}' is of the samples or of the model, but not of both")
     if not len(values) or not np.all(np.isfinite(values)):

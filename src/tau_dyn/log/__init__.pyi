@@ -53,6 +53,7 @@ from .recording import (
     LogSource as LogSource,
     Recording as Recording,
     as_log as as_log,
+    as_logs as as_logs,
     open_log as open_log,
 )
 from .resample import (

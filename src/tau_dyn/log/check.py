@@ -10,15 +10,17 @@ remedy is a `scale` in the column map.
 """
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tau_dyn.exceptions import require_kind
 from tau_dyn.log.check_motion import check_motion, find_moving_samples
 from tau_dyn.log.column_names import format_names
 from tau_dyn.log.data_integrity import list_data_warnings, mend_log
 from tau_dyn.log.log import Log
+from tau_dyn.log.recording import LogSource, as_log
 from tau_dyn.log.resample import (
     MAX_RELATIVE_JITTER,
     Clock,
@@ -52,6 +54,7 @@ SUSPECT = 100.0
 """Without a robot, positions beyond this give a warning [m or rad]."""
 
 
+@runtime_checkable
 class JointLimits(Protocol):
     """A robot's actuated joints: names, kinds (`prismatic` or `revolute`) and limits (na,) [m or rad]."""
 
@@ -229,15 +232,19 @@ _READING = {
 """Remedies of remarks on reading, by their codes; sentences without a code are about an incomplete last line."""
 
 
-def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
+def check_log(log: LogSource, robot: JointLimits | None = None) -> LogCheck:
     """Judge whether a log is fit for identification.
 
     Args:
-        log: A log as read. If it has gaps that are not filled, channels are judged on its longest part.
+        log: A log as read, the path of its file, or a table. If it has gaps that are not filled, channels are judged on its
+            longest part.
         robot: The robot it belongs to, for joints and limits; None leaves those out.
 
     Returns:
         Findings in the order clock, reading, columns, units, channels, motion, and the numbers behind them.
+
+    Raises:
+        InputError: The log cannot be read, or log or robot is something else.
 
     Example:
         >>> t = np.delete(np.arange(0.0, 10.0, 0.01), slice(300, 400))
@@ -245,6 +252,9 @@ def check_log(log: Log, robot: JointLimits | None = None) -> LogCheck:
         >>> [finding.topic for finding in td.check_log(log).findings if finding.severity != "ok"]
         ['gaps', 'excitation']
     """
+    log = as_log(log)
+    if robot is not None:
+        require_kind(robot, JointLimits, "robot", "what load_robot returns")
     joints = () if robot is None else robot.actuated
     used = _choose_used(log, joints)
     findings, numbers = check_clock(log, used)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tau_dyn.exceptions import InputError
+from tau_dyn.exceptions import InputError, require_kind
 from tau_dyn.files import read_yaml
 from tau_dyn.log.column_names import SIGNALS, format_names, is_contract_name, map_joints
 
@@ -89,8 +89,8 @@ class ColumnMap:
         Raises:
             InputError: The file is missing, is not YAML, or holds a key, a type or a matrix that is not valid in a map.
         """
-        path = Path(path)
-        return cls.from_dict(_read_entries(path), name=path.name)
+        require_kind(path, str | Path, "column map", "a ColumnMap, or the path of its file")
+        return cls.from_dict(_read_entries(Path(path)), name=Path(path).name)
 
     @classmethod
     def from_dict(cls, entries: Mapping[Any, Any], name: str = "column map") -> "ColumnMap":

@@ -78,11 +78,12 @@ def _is_used(column: str, joints: set[str]) -> bool:
 
 
 _DATE = re.compile(r"\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[/.]\d{1,2}[/.]\d{2,4}|\d{1,2}:\d{2}")
+_A_LOG = "A log is CSV with the columns t, q_JOINT, tau_JOINT, or Parquet, MCAP, a ROS bag or .mat"
 _OTHER_FILES = {
     b"PK\x03\x04": "an Excel workbook or another zip archive; save its sheet as CSV in UTF-8",
     b"\xd0\xcf\x11\xe0": "an old Excel workbook; save its sheet as CSV in UTF-8",
     b"\x1f\x8b": "compressed by gzip; unpack it first",
-    b"<": "XML, such as a robot file; give the log first and the robot second: tau-dyn check LOG ROBOT",
+    b"<": f"XML, such as a robot file; were robot and log exchanged? {_A_LOG}",
     b"%PDF": "a PDF; give the recording itself, as CSV",
     b"PAR1": "a Parquet file; let its name end in .parquet",
     b"\x89HDF": "an HDF5 file (MATLAB 7.3 is one); export it as CSV or Parquet, from MATLAB with save(.., '-v7')",
@@ -137,11 +138,15 @@ def is_unit_row(first: object, second: object) -> bool:
 def describe_foreign_file(data: bytes) -> str:
     """Return the format of a file that is clearly no table, with a remedy; empty if it may be a table."""
     known = next((words for start, words in _OTHER_FILES.items() if data.startswith(start)), "")
-    return known or (
-        "JSON; a log is CSV with the columns t, q_JOINT, tau_JOINT, or Parquet, MCAP, a ROS bag or .mat"
-        if _is_json(data)
-        else ""
-    )
+    if known:
+        return known
+    if _is_json(data):
+        return f"JSON. {_A_LOG}"
+    return f"YAML, such as a model file or a column map. {_A_LOG}" if _YAML.match(data[:400]) else ""
+
+
+_YAML = re.compile(rb"(?:#[^\n]*\n)*(?:- |---\s*\n|\w+: *[^\s,;\t]*\r?\n)")
+"""A file's first line that is not a comment: an item, a document's start, or a key with one word at most."""
 
 
 def _is_json(data: bytes) -> bool:

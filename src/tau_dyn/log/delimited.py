@@ -326,6 +326,8 @@ def _parse(layout: _Layout) -> tuple[pd.DataFrame, list[str]]:
             **_EXACT,
         )
     except (pd.errors.ParserError, ValueError) as error:
+        if "out of memory" in str(error):
+            raise MemoryError from error
         raise InputError(
             "file_format", f"{layout.name} is not a table of cells: {str(error).splitlines()[0]}; write plain CSV."
         ) from None

@@ -18,10 +18,11 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tau_dyn.exceptions import InputError
+from tau_dyn.exceptions import InputError, require_kind
 from tau_dyn.files import write_atomically
 from tau_dyn.log.column_map import ColumnMap
 from tau_dyn.log.column_names import ROOM_TEMPERATURE, describe_missing_column, map_joints
+from tau_dyn.parameters import as_numbers
 from tau_dyn.results import Shown, count
 
 if TYPE_CHECKING:
@@ -75,8 +76,10 @@ class Log(Shown):
 
     def __post_init__(self) -> None:
         """Freeze the arrays and refuse a clock that does not increase or channels of another length."""
-        t = _frozen(self.t)
-        channels = {key: _frozen(value) for key, value in self.channels.items()}
+        if not hasattr(self.channels, "items"):  # a table of pandas is no mapping
+            require_kind(self.channels, Mapping, "set of channels", "a dictionary from column to values")
+        t = _frozen(self.t, f"{self.name}: t")
+        channels = {key: _frozen(value, f"{self.name}: {key}") for key, value in self.channels.items()}
         if t.ndim != 1 or t.size < 2:
             raise InputError("too_little_data", f"{self.name} has {count(t.size, 'sample')}; a log needs at least two.")
         if not np.all(np.isfinite(t)) or np.any(np.diff(t) <= 0.0):
@@ -276,9 +279,9 @@ class Log(Shown):
                 file.write(text if np.isfinite(rows).all() else re.sub(r"\bnan\b", "", text))
 
 
-def _frozen(values: ArrayLike) -> NDArray[np.float64]:
+def _frozen(values: ArrayLike, name: str) -> NDArray[np.float64]:
     """Return the values as read-only float64, copied only if they could still be written to."""
-    array = np.asarray(values, dtype=np.float64)
+    array = as_numbers(values, name)
     if array.flags.writeable or array.base is not None and getattr(array.base, "flags", array.flags).writeable:
         array = array.copy()
     array.setflags(write=False)

@@ -18,7 +18,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from tau_dyn.exceptions import InputError
+from tau_dyn.exceptions import InputError, require_kind
 from tau_dyn.files import compute_joint_sha256, compute_sha256
 from tau_dyn.log.column_map import ColumnMap
 from tau_dyn.log.column_names import (
@@ -376,12 +376,7 @@ def as_log(source: LogSource | Recording) -> Log | Recording:
         return source
     if isinstance(source, str | Path):
         return read_log(source)
-    if not isinstance(source, DataTable):
-        raise InputError(
-            "invalid_value",
-            f"an object of type {type(source).__name__} is no log; give a Log, the path of its file, or a pandas table with t, "
-            "q_J and tau_J",
-        )
+    require_kind(source, DataTable, "log", "a Log, the path of its file, or a pandas table with t, q_J and tau_J")
     table = source.reset_index() if source.index.name == "t" and "t" not in source.columns else source
     if "t" not in table.columns:
         listed = ", ".join(map(str, list(table.columns)[:12]))
@@ -391,6 +386,13 @@ def as_log(source: LogSource | Recording) -> Log | Recording:
         )
     channels = {str(name): _read_column(table, name) for name in table.columns}
     return Log(channels.pop("t"), channels, "table")
+
+
+def as_logs(logs: LogSource | Iterable[LogSource]) -> list[Log]:
+    """Return one log or many as a list; see `as_log`."""
+    if isinstance(logs, Log | str | Path | DataTable) or not isinstance(logs, Iterable):
+        return [as_log(logs)]
+    return [as_log(one) for one in logs]
 
 
 def _read_column(table: DataTable, name: Any) -> np.ndarray:

@@ -119,7 +119,7 @@ def find_set(name: str) -> DataSet:
         InputError: No set has this name.
     """
     known = {one.name: one for one in list_sets()}
-    if name not in known:
+    if str(name) not in known:
         raise UnknownName("data set", name, known)
     return known[name]
 

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism.frames import compute_cross_product
+from tau_dyn.parameters import as_numbers
 from tau_dyn.results import count
 from tau_dyn.robot import Robot
 
@@ -144,7 +145,7 @@ def require_positions(robot: Robot, q: np.ndarray) -> np.ndarray:
     Raises:
         InputError: The array has another shape.
     """
-    q = np.asarray(q, float)
+    q = as_numbers(q, "positions")
     q = q[None] if q.ndim == 1 else q
     if q.ndim != 2 or q.shape[1] != robot.na:
         raise InputError(

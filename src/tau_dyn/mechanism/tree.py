@@ -12,6 +12,7 @@ Forces inside come from the same virtual work: no drive holds the passive joints
 from __future__ import annotations
 
 from functools import wraps
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from tau_dyn.mechanism.loops import Constraints, LoopSolver, compute_turning_rat
 from tau_dyn.mechanism.mechanism import Mechanism, require_tool_frame
 from tau_dyn.mechanism.newton_euler import Weight, list_weights
 from tau_dyn.mechanism.small_systems import measure_column_lengths
-from tau_dyn.robot import Robot
+from tau_dyn.robot import Robot, as_robot
 
 
 class SamplewiseTree(Mechanism):
@@ -390,7 +391,7 @@ class TreeMechanism(SamplewiseTree):
         return half + half.swapaxes(1, 2)
 
 
-def build_mechanism(robot: Robot) -> Mechanism:
+def build_mechanism(robot: Robot | str | Path) -> Mechanism:
     """Return the fastest exact dynamics for a robot: the closed form if its file declares a valid one, else Pinocchio.
 
     It is valid if rods are slender, start at the carts' origins and follow their masses; one sample near home is checked.
@@ -401,6 +402,7 @@ def build_mechanism(robot: Robot) -> Mechanism:
         >>> mechanism.inverse_dynamics(np.array([[0.0]]), np.array([[0.0]]), np.array([[1.0]]))
         array([[95.]])
     """
+    robot = as_robot(robot)
     mechanism: Mechanism = TreeMechanism(robot)
     if GantryTauMechanism.describes(robot) and not robot.redundant_joints:
         closed = GantryTauMechanism(robot)

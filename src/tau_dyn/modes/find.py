@@ -19,8 +19,8 @@ from functools import partial
 
 import numpy as np
 
-from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError
-from tau_dyn.log import Log
+from tau_dyn.exceptions import CannotAnswer, InputError, TauDynError, require_names
+from tau_dyn.log import LogSource, as_logs
 from tau_dyn.modes.contact import window_forces
 from tau_dyn.modes.delay import (
     MAX_DELAY_SAMPLES,
@@ -85,11 +85,11 @@ Progress = Callable[[str], None]
 
 
 def find_modes(
-    logs: Log | Sequence[Log],
+    logs: LogSource | Sequence[LogSource],
     inputs: Sequence[str],
     outputs: Sequence[str],
     *,
-    holdout: Log | Sequence[Log] = (),
+    holdout: LogSource | Sequence[LogSource] = (),
     references: Sequence[str] = (),
     method: str = "auto",
     order: str | int = "auto",
@@ -103,7 +103,7 @@ def find_modes(
     """Identify resonances, a black-box model, and mass, damping and stiffness if the data determine them.
 
     Args:
-        logs: Logs to fit on; never joined.
+        logs: Logs to fit on, each a log, the path of its file, or a table; never joined.
         inputs: Columns that excite.
         outputs: Columns that respond.
         holdout: Logs for validation; the last 30 % of every log if not given.
@@ -138,8 +138,10 @@ def find_modes(
     fixed = read_whole_number("delay", delay, 0, MAX_REQUESTED_DELAY, "samples from 0 up")
     if method not in ("auto", *METHODS):
         raise InputError("bad_option", f"--method {method}: there are auto, {', '.join(METHODS)}")
+    require_names(inputs, "inputs")
+    require_names(outputs, "outputs")
     places = _places(collocated, inputs, outputs)
-    several, held = ([x] if isinstance(x, Log) else list(x) for x in (logs, holdout))
+    several, held = as_logs(logs), as_logs(holdout)
     data = prepare_records(several, tuple(inputs), tuple(outputs), holdout=held, references=tuple(references))
     _refuse_costly(asked, data)
     measured, forces, pulses = find_sensor_kind(outputs, sensor), "", data.kind == "impulse"

@@ -41,7 +41,7 @@ def render_notebook(result: Any) -> str:
     """Return the HTML of a result in a notebook.
 
     Raises:
-        TypeError: The result has no presentation.
+        InputError: The result has no presentation.
     """
     shown = present(result)
     pieces = [Markup("<style>") + Markup(_get_style()) + Markup("</style>")]  # noqa: S704 our own files
@@ -72,7 +72,7 @@ def tabulate(result: Any) -> pd.DataFrame:
     """Return a result's main table as a pandas frame.
 
     Raises:
-        TypeError: The result has no table.
+        InputError: It is no result.
     """
     return build_frame(present(result))
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from tau_dyn.exceptions import InputError
 from tau_dyn.results import Chapter, Folded, Listing, On, Presentation, count, replace_plus_minus
 
 _KINDS = {
@@ -52,7 +53,7 @@ def present(result: Any, **options: Any) -> Presentation:
         options: Further options of its kind, such as the true values behind an identification.
 
     Raises:
-        TypeError: This type has no presentation.
+        InputError: This type has no presentation.
     """
     for owner in type(result).__mro__:
         parts = owner.__module__.split(".")[1:]
@@ -65,7 +66,9 @@ def present(result: Any, **options: Any) -> Presentation:
 @singledispatch
 def present_kind(result: Any, **options: Any) -> Presentation:
     """Return the presentation of a result of a kind; each kind's file registers its own function."""
-    raise TypeError(f"{type(result).__name__} has no presentation")
+    raise InputError(
+        "invalid_value", f"an object of type {type(result).__name__} is no result; give a result of this package"
+    )
 
 
 def warn(warnings: tuple[str, ...] | list[str], title: str = "Warnings") -> list[Chapter]:

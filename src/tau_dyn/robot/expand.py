@@ -20,7 +20,7 @@ from xml.parsers.expat import ExpatError
 from defusedxml.common import DefusedXmlException
 from defusedxml.expatbuilder import parseString  # like minidom's, without its network modules
 
-from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.exceptions import InputError, UnknownName, require_kind
 from tau_dyn.files import format_yaml, read_bytes
 from tau_dyn.robot.dimensions import TableChanges, read_number
 from tau_dyn.robot.mjcf import convert_mjcf
@@ -29,7 +29,7 @@ from tau_dyn.robot.packages import find_described_robot, find_package, list_stoc
 from tau_dyn.robot.xacro_evaluation import evaluate_xacro
 
 _LOG = "; this looks like a log; were robot and log exchanged?"
-_MODEL = "; is it a model file? Then give the robot's file first"
+_MODEL = "; is it a model file? A robot file is needed here"
 _SWAPPED = {
     ".csv": _LOG,
     ".parquet": _LOG,
@@ -83,9 +83,10 @@ def find_robot(robot: str | Path) -> Path:
     """Return the file that a path or a short name means.
 
     Raises:
-        InputError: The file does not exist or is not a robot file.
+        InputError: It is neither, or the file does not exist or is not a robot file.
         UnknownName: A bare word is not the name of a robot.
     """
+    require_kind(robot, str | Path, "robot", "what load_robot returns, a robot file's path or a name")
     path, stock = Path(robot), list_stock_robots()
     try:
         there = path.is_file()
@@ -99,6 +100,7 @@ def find_robot(robot: str | Path) -> Path:
             )
         return path
     if (path.suffix or len(path.parts) > 1) and str(robot) not in stock:
+        _refuse_folder(path)
         raise InputError(
             "file_not_found",
             f"{path}: no such robot file; give a .urdf or .urdf.xacro that exists, or a short name such as gantry_tau",
@@ -110,6 +112,7 @@ def find_robot(robot: str | Path) -> Path:
         return stock[str(robot)]
     if described := find_described_robot(str(robot)):
         return described.path
+    _refuse_folder(path)
     if str(robot).endswith("_description"):
         raise InputError(
             "file_not_found",
@@ -117,6 +120,13 @@ def find_robot(robot: str | Path) -> Path:
         )
     more = "" if stock else "; `pip install example-robot-data` adds stock arms such as ur5"
     raise UnknownName("robot", str(robot), [*ours, *stock], more=more)
+
+
+def _refuse_folder(path: Path) -> None:
+    if path.name and path.is_dir():
+        raise InputError(
+            "cannot_read", f"{path} is a folder; give the robot file in it, or a short name such as gantry_tau"
+        )
 
 
 def expand(

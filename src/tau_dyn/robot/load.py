@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.exceptions import InputError, UnknownName, require_kind, require_names
 from tau_dyn.files import compute_sha256
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.parameters import Parameter, Parameters
@@ -97,6 +97,7 @@ def load_robot(
         ('arm1', 'arm2', 'arm3')
     """
     path = find_robot(robot)
+    _require_kinds(srdf, {"actuated": actuated, "contacts": contacts}, {"packages": packages, "hold": hold})
     described = find_described_robot(str(robot)) or StockRobot(path)
     named = {} if base in ("fixed", "floating") else {"base": base}
     given = {k: str(v) for k, v in {**described.arguments, **arguments, **named}.items()}
@@ -109,7 +110,7 @@ def load_robot(
     if hold:
         read_annotations(urdf, str(robot))
         urdf = hold_joints(urdf, hold, str(robot))
-    urdf = _float(urdf, tuple(contacts), str(robot), floating=base == "floating")
+    urdf = _float(urdf, () if contacts is None else tuple(contacts), str(robot), floating=base == "floating")
     semantics = Path(srdf) if srdf is not None else find_srdf(path)
     found = load_robot_from_urdf(
         urdf,
@@ -125,13 +126,25 @@ def load_robot(
     return found
 
 
+def _require_kinds(srdf: object, names: Mapping[str, object], tables: Mapping[str, object]) -> None:
+    """Refuse options of `load_robot` of another type; None stands for the default."""
+    if srdf is not None:
+        require_kind(srdf, str | Path, "SRDF", "the path of its file")
+    for name, value in names.items():
+        if value is not None:
+            require_names(value, name)
+    for name, value in tables.items():
+        if value is not None:
+            require_kind(value, Mapping, f"value of {name}", "a dictionary")
+
+
 def _float(urdf: str, contacts: tuple[str, ...], where: str, *, floating: bool) -> str:
     """Return URDF text with the requested base."""
     if floating:
         read_annotations(urdf, where)
         return free_base(urdf, contacts, where)
     if contacts:
-        raise InputError("bad_option", f"--contact {' '.join(contacts)} goes with --base floating")
+        raise InputError("bad_option", f"--contact {' '.join(map(str, contacts))} goes with --base floating")
     return urdf
 
 
@@ -143,12 +156,7 @@ def as_robot(robot: Robot | str | Path) -> Robot:
     """
     if isinstance(robot, Robot):
         return robot
-    if isinstance(robot, str | Path):
-        return load_robot(robot)
-    raise InputError(
-        "invalid_value",
-        f"an object of type {type(robot).__name__} is no robot; give what load_robot returns, a robot file's path or a name",
-    )
+    return load_robot(robot)
 
 
 def load_robot_from_urdf(
@@ -440,7 +448,7 @@ def _sum_friction(
 def _find_tool(model: pin.Model, notes: Annotations, wanted: str | None, where: str) -> str:
     """Return the tool frame's name; empty if no frame is named and no frame is evident."""
     if wanted is not None:
-        if not model.existFrame(wanted):
+        if not model.existFrame(str(wanted)):
             raise UnknownName("frame", wanted, [f.name for f in model.frames[1:]], where)
         return wanted
     links = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]

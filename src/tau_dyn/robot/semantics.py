@@ -36,4 +36,8 @@ def read_passive_joints(path: Path) -> tuple[str, ...]:
         raise InputError("file_format", f"{path}: not well-formed XML ({fault})") from fault
     if root.tag != "robot":
         raise InputError("file_format", f"{path}: the root element is <{root.tag}>, an SRDF's is <robot>")
+    if root.find("link") is not None:
+        raise InputError(
+            "file_format", f"{path}: it holds links, as a robot file does; an SRDF names groups and passive joints"
+        )
     return tuple(element.get("name", "") for element in root.findall("passive_joint"))

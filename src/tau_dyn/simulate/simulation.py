@@ -23,7 +23,7 @@ import numpy as np
 
 from tau_dyn.effects import Effect, read_effects
 from tau_dyn.estimate import pseudo_inertia
-from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.exceptions import InputError, UnknownName, require_kind
 from tau_dyn.files import read_yaml
 from tau_dyn.log import Log
 from tau_dyn.model import Model
@@ -98,6 +98,8 @@ def simulate_drive(
     progress: Progress | None = None,
 ) -> PlantRun:
     """Return the true run, for `measure`, several times if needed (`feedback='ideal'`)."""
+    require_kind(model, Model, "model", "a Model, such as Model.of(robot)")
+    require_kind(motion, Trajectory, "motion", "a Trajectory, such as build_named_motion returns")
     if motion.joints != model.robot.actuated:
         expected, got = ", ".join(model.robot.actuated), ", ".join(motion.joints)
         raise InputError(

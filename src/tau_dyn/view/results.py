@@ -205,7 +205,9 @@ def _content(path: Path) -> dict[str, Any]:
     except InputError:
         raise
     except OSError as fault:
-        raise InputError("cannot_read", f"{path}: {fault.strerror or 'cannot be read'}") from fault
+        raise InputError(
+            "cannot_read", f"{path}: {fault.strerror or 'cannot be read'}; give what --json wrote"
+        ) from fault
     except (ValueError, RecursionError) as fault:
         raise InputError("file_format", f"{path}: not a result of tau-dyn: no JSON; give what --json wrote") from fault
     if not isinstance(content, dict):

@@ -213,9 +213,9 @@ def read_cameras(path: str | Path) -> Cameras:
     """
     held = read_yaml(path)
     try:
-        rows = held["cameras"]
-        if not rows:
-            raise ValueError("no camera in it")
+        rows = held.get("cameras") if isinstance(held, dict) else None
+        if not rows or not isinstance(rows, list):
+            raise ValueError("no list of cameras in it")
         inner = np.array(
             [
                 [_number(row.get(name, 0.0) if name in INTRINSICS[4:] else row[name]) for name in INTRINSICS]

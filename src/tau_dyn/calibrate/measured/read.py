@@ -14,7 +14,7 @@ from tau_dyn.calibrate.measured.encoders import PassiveEncoders
 from tau_dyn.calibrate.measured.kinds import TOUCHES
 from tau_dyn.calibrate.measured.loads import read_loads
 from tau_dyn.calibrate.measured.pose_set import PoseSet, join_pose_sets
-from tau_dyn.exceptions import InputError
+from tau_dyn.exceptions import InputError, require_kind
 from tau_dyn.log import ColumnMap, Table, compute_mapped_columns, format_names, is_blank, read_table
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.robot import Mimic, Robot, read_annotations
@@ -36,11 +36,7 @@ def as_poses(poses: PoseSet | str | Path, robot: Robot) -> PoseSet:
     """
     if isinstance(poses, PoseSet):
         return poses
-    if not isinstance(poses, str | Path):
-        raise InputError(
-            "invalid_value",
-            f"an object of type {type(poses).__name__} is no set of poses; give what read_poses returns, or a file's path",
-        )
+    require_kind(poses, str | Path, "set of poses", "what read_poses returns, or a file's path")
     return read_poses(poses, robot.actuated, mimics=read_annotations(robot.urdf, robot.source).mimics)
 
 

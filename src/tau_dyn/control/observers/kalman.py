@@ -173,9 +173,19 @@ class KalmanToolObserver:
 
     @cached_property
     def prediction_covariance(self) -> np.ndarray:
-        """P (n, n), the solution of the Riccati equation."""
+        """P (n, n), the solution of the Riccati equation.
+
+        Raises:
+            InputError: It has none, as for a model whose poles are far faster or slower than the sampling.
+        """
         e = self.extended
-        return np.asarray(solve_discrete_are(e.A.T, e.acceleration.T, self.R1, self.R2))
+        try:
+            return np.asarray(solve_discrete_are(e.A.T, e.acceleration.T, self.R1, self.R2))
+        except (ValueError, np.linalg.LinAlgError) as fault:
+            raise InputError(
+                "unstable",
+                "no Kalman filter exists for this model; fit one of fewer states to a better record (modes --order)",
+            ) from fault
 
     @cached_property
     def innovation_covariance(self) -> np.ndarray:
