@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import json
-from importlib import import_module
 
 import numpy as np
 import pytest
 
+from tau_dyn import by_measurement
 from tau_dyn.cli import main
 from tau_dyn.evidence import Diagnosis, OutputErrors, Step
 from tau_dyn.identify import build_model
 from tau_dyn.log import Log
 from tau_dyn.model import Model
-
-ROOM = import_module("tau_dyn.diagnose")  # `tau_dyn.diagnose` itself is the function
 
 
 def _answer(robot, verdict: str) -> Diagnosis:
@@ -47,7 +45,7 @@ def asked(monkeypatch):
         seen.update(options, logs=logs)
         return _answer(robot, seen["verdict"])
 
-    monkeypatch.setattr(ROOM, "diagnose", diagnose)
+    monkeypatch.setattr(by_measurement, "diagnose_forces", diagnose)
     return seen
 
 

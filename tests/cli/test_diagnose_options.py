@@ -8,6 +8,7 @@ from importlib import import_module
 import numpy as np
 import pytest
 
+from tau_dyn import by_measurement
 from tau_dyn.cli import main
 from tau_dyn.evidence import Diagnosis, OutputErrors, Step
 from tau_dyn.exceptions import CannotAnswer
@@ -15,7 +16,6 @@ from tau_dyn.identify import build_model
 from tau_dyn.log import Log
 from tau_dyn.simulate import Trajectory
 
-ROOM = import_module("tau_dyn.diagnose")  # `tau_dyn.diagnose` itself is the function
 FACE = import_module("tau_dyn.diagnose")  # `tau_dyn.diagnose` itself is the function
 
 LAW = "position_gain: 20\nvelocity_gain: 240\n"
@@ -43,7 +43,9 @@ def asked(monkeypatch):
         t = np.linspace(0, 1, 101)[:, None]
         return Trajectory(found.outputs, t[:, 0], t**2, 2 * t, 2 + 0 * t, notes=("lambda = 40",))
 
-    monkeypatch.setattr(ROOM, "diagnose", lambda robot, logs, **options: seen.update(run=True) or _answer(robot))
+    monkeypatch.setattr(
+        by_measurement, "diagnose_forces", lambda robot, logs, **options: seen.update(run=True) or _answer(robot)
+    )
     monkeypatch.setattr(FACE, "propose_motion", propose_motion)
     return seen
 
