@@ -17,11 +17,14 @@ from tau_dyn.effects import (
     Stribeck,
     TransmissionError,
     ViscousAsymmetry,
+    ViscousCurvature,
 )
-from tau_dyn.evidence.candidate_scan import GroupTest
-from tau_dyn.evidence.channel import build_scene
+from tau_dyn.evidence.candidate_scan import CandidateCause, GroupTest, rescore_group
+from tau_dyn.evidence.channel import ColumnCache, build_scene
+from tau_dyn.evidence.measurements import TRAIN
+from tau_dyn.evidence.null_model import NullModel, fit_noise_models
 from tau_dyn.evidence.settings import SEARCH_MARGIN
-from tau_dyn.evidence.stepwise_selection import select_causes
+from tau_dyn.evidence.stepwise_selection import SelectedCause, select_causes
 
 
 @pytest.mark.parametrize("seed", [1, 6])
@@ -109,6 +112,30 @@ def test_what_stays_is_weighed_again_when_another_cause_is_dropped(make, monkeyp
     )
 
 
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_the_law_that_stands_alone_stays(make, order):
+    """A Stribeck peak of the wrong sign explains friction that levels off, and a peak has no wrong sign: the other law stays."""
+    module = importlib.import_module("tau_dyn.evidence.stepwise_selection")
+    channel = make.bench(
+        np.random.default_rng(0),
+        lambda m: -40 * np.sign(m.v) * np.exp(-((m.v / 0.17) ** 2)),
+        n=6000,
+        causes=(Stribeck, ViscousCurvature),
+    )
+    library, top = ColumnCache(channel), float(channel.scene.fast[0])
+    effects = (
+        ViscousCurvature(("x",), ("N",), knee=top, power=2.0),
+        Stribeck(("x",), ("N",), speed=0.55 * top, power=2.0),
+    )
+    noise = fit_noise_models(channel, (TRAIN,), [library.columns(effect) for effect in effects])
+    null_model, found = NullModel.of(library, (TRAIN,), noise, effects), []
+    for k in order:
+        fit = rescore_group(GroupTest(effects[k], 0.0, 1.0, 1, True, 1.0, np.zeros(1)), null_model.with_effects([]))
+        found.append(SelectedCause(CandidateCause(effects[k].name, (fit,), 0.0, (fit,)), 0.0, ()))
+    (kept,) = module._eliminate_backward(null_model, found, 0.05)
+    assert kept.candidate.cause == "viscous_curvature"
+
+
 def test_an_error_of_millimetres_is_no_transmission_error(make):
     """A force along the way that a periodic error would need a millimetre for gets no such name; 50 um keeps it."""
 
@@ -123,7 +150,7 @@ def test_an_error_of_millimetres_is_no_transmission_error(make):
 
 
 def test_a_law_of_twelve_terms_is_no_name_where_four_explain_as_much(make):
-    """Friction that another joint's place makes, which nearly follows the joint's own: no friction along the own way."""
+    """Friction that another joint's place makes, which nearly follows the joint's own: friction along the own way is rejected."""
     rng = np.random.default_rng(4)
     m = make.moving(rng, ("one", "two"), 9000)
     q, v, a = (np.array(getattr(m, key)) for key in "qva")
@@ -135,7 +162,10 @@ def test_a_law_of_twelve_terms_is_no_name_where_four_explain_as_much(make):
         return np.stack([6 * m.sign[:, 0] * np.cos(2 * np.pi * m.q[:, 1] / 0.5), 0 * m.t], axis=1)
 
     channel = make.bench(rng, hidden, motions=(motion,), causes=(PositionFriction,))
-    assert causes(select_causes(channel, np.random.default_rng(1), lambda step: None).found) == set()
+    selection = select_causes(channel, np.random.default_rng(1), lambda step: None)
+    assert causes(selection.found) == set()
+    (rejected,) = selection.rejected
+    assert rejected.selected.candidate.cause == "position_friction" and "smooth functions" in rejected.why
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -158,14 +158,16 @@ def select_causes(
         pending.append((*twins, *find_rival_pairs(best, candidates, null_model)))
         found = _join(found, SelectedCause(best, adjust_p_value_bonferroni(best, candidates), ()))
     kept = _eliminate_backward(null_model, found, level)
-    kept = _reject_lack_of_fit(null_model, kept, null_model.draw_null_residuals(N_NULL_DRAWS, rng))
+    fitting = _reject_lack_of_fit(null_model, kept, null_model.draw_null_residuals(N_NULL_DRAWS, rng))
+    mimics, kept = {one.candidate.cause for one in kept} - {one.candidate.cause for one in fitting}, fitting
     if kept != found:
         kept = _refine_again(null_model, kept)
         null_model, candidates = _scan_with(library, kept, rng, progress, excluded)
-    rejected = _list_rejected(null_model, candidates, build_effects(kept), level, artefact_filter)
+    rejected = _list_rejected(null_model, candidates, build_effects(kept), level, artefact_filter, mimics)
     return StepwiseSelection(tuple(kept), null_model, tuple(candidates), rejected)
 
 
+_MIMICS = "smooth functions of the joints' signals explain far more of the force than this law"
 MAX_REJECTED = 3
 """Number of rejected candidates that are examined, the strongest ones; weaker ones mostly resemble these."""
 
@@ -176,14 +178,18 @@ def _list_rejected(
     others: Sequence[Effect],
     level: float,
     artefact_filter: ArtefactFilter | None,
+    mimics: Collection[str],
 ) -> tuple[RejectedCause, ...]:
-    """Return the significant candidates of the last scan that are not artefacts, with the reason of their rejection."""
+    """Return the significant candidates of the last scan that are not artefacts, with the reason of their rejection.
+
+    `mimics` are causes that the search had selected, and that a structure without a name explains better.
+    """
     found = []
     ranked = sorted(candidates, key=lambda c: -c.penalised_statistic)
     significant = [c for c in ranked if adjust_p_value_bonferroni(c, candidates) < level]
     for candidate in significant[:MAX_REJECTED]:
         refined = refine_settings(drop_redundant_groups(candidate, null_model), null_model)
-        why = find_unbelievable(refined, null_model)
+        why = find_unbelievable(refined, null_model) or (_MIMICS if candidate.cause in mimics else "")
         if why and (
             artefact_filter is None or artefact_filter(null_model, refined, others, len(candidates)) is not None
         ):
@@ -232,20 +238,30 @@ def _rescore_with_others(
 
 
 def _eliminate_backward(null_model: NullModel, found: list[SelectedCause], level: float) -> list[SelectedCause]:
-    """Drop, weakest first, the causes that are not significant next to the others."""
+    """Drop, weakest first, the causes that are not significant next to the others.
+
+    A cause in the model takes any amplitude, also one of the wrong sign, with which it may replace a true cause. So where others
+    are not significant without a cause, and it is without them, they are dropped instead.
+    """
     kept = list(found)
     while len(kept) > 1:
-        judged = []
-        for k, one in enumerate(kept):
-            _, fits = _rescore_with_others(null_model, kept, one)
-            statistic = combine_group_tests(one.candidate.cause, fits).statistic
-            tail = float(stats.chi2.sf(statistic, sum(f.dof for f in fits)))
-            judged.append((min(1.0, tail * np.prod([f.n_effective_tests for f in fits])), k))
-        worst, k = max(judged)
-        if worst < level:
+        tails = [_compute_tail(null_model, kept, one) for one in kept]
+        k = int(np.argmax(tails))
+        if tails[k] < level:
             break
-        kept.pop(k)
+        without = kept[:k] + kept[k + 1 :]
+        idle = [one for one in without if _compute_tail(null_model, without, one) >= level]
+        rest = [one for one in kept if one not in idle]
+        kept = rest if idle and _compute_tail(null_model, rest, kept[k]) < level else without
     return kept
+
+
+def _compute_tail(null_model: NullModel, found: Sequence[SelectedCause], one: SelectedCause) -> float:
+    """Return the p-value of a cause with the others in the model, corrected for its settings."""
+    _, fits = _rescore_with_others(null_model, found, one)
+    statistic = combine_group_tests(one.candidate.cause, fits).statistic
+    tail = float(stats.chi2.sf(statistic, sum(f.dof for f in fits)))
+    return min(1.0, tail * float(np.prod([f.n_effective_tests for f in fits])))
 
 
 def _refine_again(null_model: NullModel, kept: Sequence[SelectedCause]) -> list[SelectedCause]:
@@ -262,18 +278,31 @@ def _reject_lack_of_fit(null_model: NullModel, found: list[SelectedCause], draws
 
     A true cause leaves no structure, so no structure in its place explains much more than it does. Smooth functions that
     explain more than a cause by far more than their degrees of freedom represent another force, which the cause only resembles:
-    its name would be wrong.
+    its name would be wrong. The weakest goes first: of two laws at one joint each has but the other's remainder to explain.
     """
-    kept = []
-    for one in found:
-        with_others, fits = _rescore_with_others(null_model, found, one)
-        structure = find_structure(with_others, draws, level=1.0)
-        mimics = [f for f in fits if structure and structure.output in f.effect.joints and _is_beaten(f, structure)]
-        mimics += [f for f in fits if f not in mimics and _is_outshone(f, with_others)]
-        left = tuple(f for f, new in zip(one.candidate.fits, fits, strict=True) if new not in mimics)
-        if left:
-            kept.append(replace(one, candidate=replace(one.candidate, fits=left)) if mimics else one)
+    kept = list(found)
+    while mimics := [
+        (fit.statistic, k, j) for k in range(len(kept)) for j, fit in _list_mimics(null_model, kept, k, draws)
+    ]:
+        _, k, j = min(mimics)
+        fits = kept[k].candidate.fits
+        left = replace(kept[k].candidate, fits=(*fits[:j], *fits[j + 1 :]))
+        kept[k : k + 1] = [replace(kept[k], candidate=left)] if left.fits else []
     return kept
+
+
+def _list_mimics(
+    null_model: NullModel, found: Sequence[SelectedCause], k: int, draws: np.ndarray
+) -> list[tuple[int, GroupTest]]:
+    """Return the groups of a cause that a structure or another law beats, the other causes in the model, with their number."""
+    with_others, fits = _rescore_with_others(null_model, found, found[k])
+    structure = find_structure(with_others, draws, level=1.0)
+    return [
+        (j, fit)
+        for j, fit in enumerate(fits)
+        if (structure and structure.output in fit.effect.joints and _is_beaten(fit, structure))
+        or _is_outshone(fit, with_others)
+    ]
 
 
 def _is_beaten(fit: GroupTest, structure: Structure) -> bool:
