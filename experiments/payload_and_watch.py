@@ -26,7 +26,8 @@ from tau_dyn.identify import Data, prepare_segment
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.monitor import BlockScore, ChangeDetector, watch_logs
-from tau_dyn.monitor.change_detection import BLOCKS_PER_HOUR, LENGTHS, NormalState
+from tau_dyn.monitor.change_detection import BLOCKS_PER_HOUR, LENGTHS
+from tau_dyn.monitor.normal_state import NormalState
 from tau_dyn.monitor.payload import (
     add_payload_columns,
     describe_payload,

@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose
 
 from tau_dyn.identify import build_model
 from tau_dyn.monitor import payload as module
-from tau_dyn.monitor.change_detection import BlockScore, NormalState
 from tau_dyn.monitor.directions import _describe_point
+from tau_dyn.monitor.normal_state import BlockScore, NormalState
 from tau_dyn.monitor.payload import PayloadEstimate, PropertyEstimate, _compare_friction, _propose_motion
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import load_robot

@@ -3,7 +3,6 @@
 from .change_detection import (
     BLOCK_S as BLOCK_S,
     FALSE_ALARMS_PER_HOUR as FALSE_ALARMS_PER_HOUR,
-    BlockScore as BlockScore,
     ChangeDetector as ChangeDetector,
     DetectedChange as DetectedChange,
 )
@@ -19,6 +18,7 @@ from .fleet import (
     identify_fleet as identify_fleet,
 )
 from .follow import GrowingFile as GrowingFile
+from .normal_state import BlockScore as BlockScore
 from .payload import (
     FrictionDifference as FrictionDifference,
     PayloadEstimate as PayloadEstimate,

@@ -35,7 +35,6 @@ from tau_dyn.model import Model
 from tau_dyn.monitor.change_detection import (
     BLOCK_S,
     FALSE_ALARMS_PER_HOUR,
-    BlockScore,
     ChangeDetector,
     DetectedChange,
 )
@@ -47,6 +46,7 @@ from tau_dyn.monitor.directions import (
     list_felt,
     list_named,
 )
+from tau_dyn.monitor.normal_state import BlockScore
 from tau_dyn.parameters import Parameter
 from tau_dyn.results import Shown
 
