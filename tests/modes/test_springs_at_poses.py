@@ -119,6 +119,17 @@ def test_records_of_noise_determine_nothing(arm, truth) -> None:
         find_springs(arm, logs, INPUTS, OUTPUTS, springs=["drives"])
 
 
+def test_records_that_no_springs_explain_give_no_stiffness(arm, truth) -> None:
+    """Accelerations against the force from the first sample on are no robot's response: no value, no interval."""
+    logs = []
+    for seed, q in enumerate(POSES[:2]):
+        log = strike(truth, q, seed)
+        logs.append(log.with_channels(**{name: -log.channels[name] for name in OUTPUTS}))
+    with pytest.raises(CannotAnswer, match="no springs were found that explain") as fault:
+        find_springs(arm, logs, INPUTS, OUTPUTS, springs=["drives"])
+    assert fault.value.code == "no_solution"
+
+
 def test_held_out_records_judge(arm, truth) -> None:
     """A held-out record at its own pose is explained as well as those of the fit, and at a wrong pose it is not."""
     logs, other = [strike(truth, q, seed) for seed, q in enumerate(POSES[:2])], strike(truth, POSES[2], 7)

@@ -60,7 +60,7 @@ def find_springs(
 
     Raises:
         InputError: A column, a pose or a spring does not fit the robot.
-        CannotAnswer: The records determine no spring.
+        CannotAnswer: The records determine no spring, or no springs explain them.
     """
     say = progress or (lambda step: None)
     logs, held = [logs] if isinstance(logs, Log) else list(logs), list(holdout)
@@ -98,6 +98,14 @@ def find_springs(
         steps < STEPS,
         seed=seed,
     )
+    best = max(max(record.fit_percent) for record in found.records if not record.held_out)
+    if best < MIN_FIT_PERCENT:
+        raise CannotAnswer(
+            "no_solution",
+            f"no springs were found that explain the records: the best fit explains {best:.0f} % of an output",
+            "check masses, geometry and poses against the robot file; state approximate stiffnesses there, from which the fit "
+            "begins",
+        )
     if not found.list_identified():
         raise _refuse("the records determine the stiffness of no spring")
     return replace(found, warnings=tuple(_list_warnings(found)))
