@@ -64,7 +64,7 @@ class DetectedChange:
         statistic: Likelihood ratio of the change.
         false_alarms_per_hour: Expected number of false alarms with a statistic as large.
         twins: Directions that explain it as well.
-        beside: Directions that changed at the same time.
+        simultaneous: Directions that changed at the same time.
     """
 
     direction: int
@@ -79,7 +79,7 @@ class DetectedChange:
     statistic: float
     false_alarms_per_hour: float
     twins: tuple[int, ...]
-    beside: tuple[int, ...] = ()
+    simultaneous: tuple[int, ...] = ()
 
 
 @dataclass(eq=False)
@@ -248,7 +248,7 @@ class _Since:
         """Return the directions that changed at once, from the one with the largest statistic.
 
         Further ones count if their statistic, those before in the model, exceeds the threshold, and if the directions together
-        explain most of what the first one leaves: what no direction explains is not named by the most similar one.
+        explain most of what the first one leaves; an effect without a direction gets no name.
         """
         self.changes = [first]
         left = self._compute_excess(self._list_members(self.changes))
@@ -263,10 +263,11 @@ class _Since:
         return self.changes
 
     def measure(self, change: int) -> tuple[float, float, float, float, tuple[int, ...]]:
-        """Return the statistic of a change beside the others, size, standard error, its freedom, and directions that do as well.
+        """Return statistic, size, standard error, degrees of freedom and equivalent directions of one change.
 
-        What the changes leave for the other directions, such as the force of a payload at a wrong zero, may resemble any of them:
-        one whose statistic is smaller by no more does as well, and the standard error grows as if each had an equal share of it.
+        The other changes are in the model. The statistic that the other directions still add, as by the force of a payload at a
+        wrong zero, may belong to any of them: a direction is equivalent if its statistic is smaller by no more, and the standard
+        error grows as if each direction had an equal share.
         """
         others = [x for x in self.changes if x != change]
         T = self._test_further(others) if others else self.alone

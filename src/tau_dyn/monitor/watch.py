@@ -144,7 +144,7 @@ def build_change_finding(change: DetectedChange, directions: Sequence[Direction]
     size = Parameter(name, CAUSES[d.what][1] * change.size, d.unit, stderr=change.stderr, origin=d.cause)
     others = dict.fromkeys(directions[k].cause for k in change.twins)
     amount = f"{change.size:+.3g} {d.unit}".removesuffix(" 1")
-    loaded = any(directions[k].what == "payload" for k in change.beside)
+    loaded = any(directions[k].what == "payload" for k in change.simultaneous)
     why = "its size is that of the robot without the payload that changed at the same time" if loaded else ""
     return Finding(
         d.cause,
