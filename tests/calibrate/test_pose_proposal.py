@@ -160,3 +160,10 @@ def test_a_controllers_export_with_numbered_joints_is_a_pose_file(tmp_path) -> N
     np.testing.assert_allclose(read.position, poses.position, atol=1e-9)
     table.assign(t=0.01 * np.arange(len(table))).to_csv(path, index=False)
     assert propose_pose_columns(path, robot) is None  # a clock makes it a log
+
+
+def test_a_log_without_a_header_is_no_pose_file(tmp_path: Path) -> None:
+    """A controller's log begins with numbers, of which some are equal, as speeds at rest are: `columns` reads it as a log."""
+    path = tmp_path / "controller.csv"
+    path.write_text("838.465,0.0641,-1.5149,0.0000,0.0000\n838.475,0.0641,-1.5149,0.0000,0.0000\n")
+    assert propose_pose_columns(path, l1()) is None

@@ -84,6 +84,9 @@ def test_a_structured_residual_ends_with_the_search_for_its_cause(folder, capsys
     capsys.readouterr()
     assert main(["identify", "linear_axis", log]) == 0
     assert f"tau-dyn diagnose linear_axis '{log}'" in capsys.readouterr().out.replace("\n", " ")
+    options = ["--actuated", "axis", "--fitted-inertias", "--fix", "carriage_link.mass=91.5"]
+    assert main(["identify", "linear_axis", log, *options]) == 0
+    assert f"'{log}' {' '.join(options)}" in capsys.readouterr().out.replace("\n", " ")
     assert main(["identify", "linear_axis", str(folder / "monday.csv")]) == 0
     assert "tau-dyn diagnose" not in capsys.readouterr().out
 

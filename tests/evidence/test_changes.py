@@ -112,6 +112,21 @@ def test_a_tool_that_is_picked_up_loads_all_joints_at_once():
     assert found.after == pytest.approx(1.5, abs=0.1)
 
 
+@pytest.mark.parametrize("seed", [3, 4, 7])
+def test_a_torque_constant_that_is_wrong_throughout_is_no_change(seed):
+    """The forearm loads both joints; currents by another constant at one of them contradict it from the first sample on."""
+    clean = make_regression(seed, 60.0)
+    (run,) = clean.runs
+    q, a = run.signals["q"], run.signals["a"]
+    forearm = 8.0 * np.cos(q.sum(axis=1)) + 1.5 * a.sum(axis=1)
+    shared = np.repeat(forearm[:, None, None], 2, axis=1)
+    W = np.concatenate([run.W, shared], axis=2)
+    parameters = Parameters([*clean.parameters, Parameter("forearm", 1.0, "1")])
+    y = (run.y + shared[:, :, 0]) * [1.0, 1.2]
+    run = replace(run, W=W, W_all=W, y=y, y_all=y)
+    assert find_changes(replace(clean, runs=(run,), parameters=parameters)) == ()
+
+
 def test_two_changes_in_one_log_are_both_found():
     """A gain of one joint and a sign of the other change at times of their own."""
     clean = make_regression(4)

@@ -43,6 +43,19 @@ def test_a_position_that_freezes_is_a_fault(axis_log):
     assert any("q_axis stays at" in s and "from 5 to 5.299 s" in s for s in check.warnings)
 
 
+def test_a_joint_that_rests_before_it_moves_is_not_frozen_under_an_uneven_clock(motion):
+    """A controller's log begins at rest; its positions are rounded, and all its steps except the first are 10 or 12 ms."""
+    rng = np.random.default_rng(0)
+    steps = np.append(0.002, rng.choice([0.010, 0.012], 2000, p=[0.75, 0.25]))
+    t = np.cumsum(np.append(0.0, steps))
+    begun = np.maximum(t - 0.5, 0.0)
+    q = motion(np.where(begun < 2.0, 0.25 * begun**2, begun - 1.0))
+    v = np.gradient(q, t)
+    tau = 10 * np.gradient(v, t) + 20 * np.tanh(v / 0.01) + rng.standard_normal(t.size)
+    log = Log(t, {"q_axis": np.round(q, 4), "tau_axis": tau})
+    assert "frozen" not in topics(check_log(log))
+
+
 def test_a_clipped_force_is_found(axis_log):
     """A drive that saturates at 40 N shows plateaus; so much of it is a fault."""
     tau = axis_log.channels["tau_axis"]

@@ -7,7 +7,7 @@ dataclasses of options that belong together.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -339,6 +339,22 @@ def is_saved_model(path: str | Path) -> bool:
         return is_model_file(path)
     with Path(path).open("rb") as file:
         return not file.readline().startswith(b"tau_dyn_calibration")
+
+
+def list_words(options: Any) -> list[str]:
+    """Return options that differ from their defaults as the words of a command line.
+
+    Args:
+        options: An instance of one of the dataclasses of options.
+    """
+    words: list[str] = []
+    for one in fields(options):
+        value, name = getattr(options, one.name), f"--{one.name.replace('_', '-')}"
+        if value == one.default:
+            continue
+        given = value if isinstance(value, tuple) else (value,)
+        words += [name] if value is True else [word for x in given for word in (name, str(x))]
+    return words
 
 
 ColumnMapFile = Annotated[Path | None, Parameter(metavar="MAP.yaml", help="How to read foreign column names and units")]

@@ -93,7 +93,10 @@ def identify(
     if isinstance(found, LoopIdentification):
         lines = ["estimator: output error through the closed loop"]
     else:
-        lines = [f"estimator: {found.estimator}", *_suggest_diagnosis(found, robot, logs, holdout, fitting.columns)]
+        lines = [
+            f"estimator: {found.estimator}",
+            *_suggest_diagnosis(found, robot, logs, holdout, robot_options, fitting),
+        ]
 
     return Outcome(
         result=found.to_dict() | ({} if drawn is None else {"samples": drawn.to_dict()}),
@@ -111,7 +114,7 @@ def identify(
 
 
 def _suggest_diagnosis(
-    found: Identification, robot: str, logs: Sequence[str], holdout: Sequence[str], columns: Path | None
+    found: Identification, robot: str, logs: Sequence[str], holdout: Sequence[str], *options: object
 ) -> list[str]:
     """Return a line with the command that searches for causes; empty if the residual is noise, or nearly."""
     from tau_dyn.evidence import MIN_STRUCTURED_SHARE, find_poor_fits
@@ -122,7 +125,7 @@ def _suggest_diagnosis(
     listed = ", ".join(f"{fit.joint} ({100 * fit.missed_share:.2g} % of its force)" for fit in fits)
     words = ["tau-dyn", "diagnose", robot, *logs]
     words += ["--holdout", *holdout] if holdout else []
-    words += ["--columns", str(columns)] if columns is not None else []
+    words += [word for some in options for word in args.list_words(some)]
     return [f"the residual is more than noise at {listed}; the search for its cause:", shlex.join(words)]
 
 

@@ -272,11 +272,8 @@ def check_log(log: LogSource, robot: JointLimits | None = None) -> LogCheck:
     even = resample_segments(used)
     raw, part = parts[longest], even[longest]
     others = [other for other in even if other is not part and other.n_samples >= MIN_PART_SHARE * part.n_samples]
-    moving = (
-        {joint: find_moving_samples(part, joint) for joint in log.joints("q")}
-        if part.n_samples == raw.n_samples
-        else {}
-    )
+    nearest = np.searchsorted(part.t[:-1] + part.dt / 2, raw.t)  # an uneven clock has another number of samples
+    moving = {joint: find_moving_samples(part, joint)[nearest] for joint in log.joints("q")}
     findings += _find_jumps(raw, robot)
     known = " ".join(finding.sentence for finding in findings if finding.topic == "frozen")
     for more, figures in (check_signals(raw, moving), check_motion(part, others)):

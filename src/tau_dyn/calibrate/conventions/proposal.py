@@ -49,7 +49,7 @@ def build_pose_proposal(
     """
     if Path(path).suffix.lower() not in (".csv", ".parquet"):
         return None
-    table = read_table(path)
+    table = read_table(path, foreign=True)
     sources = {name: name for name in table.cells} | find_pose_columns(table, robot.actuated)
     joints = [f"q_{joint}" for joint in robot.actuated]
     numbered = {} if set(joints) <= set(sources) else _find_numbered_joints(table, robot)
