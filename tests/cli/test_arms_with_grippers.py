@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+import yaml
 
 from tau_dyn.cli import demo as demo_module, main
 from tau_dyn.cli.arguments import RobotOptions
@@ -75,6 +76,19 @@ def test_a_log_without_the_gripper_holds_it_still(arm, tmp_path, capsys):
     log.write_text("\n".join(",".join(x for k, x in enumerate(row) if k not in lacking) for row in lines) + "\n")
     assert main(["identify", str(arm), str(log), "--quiet"]) == 2
     assert "q_elbow" in capsys.readouterr().err
+
+
+def test_numbered_columns_of_a_log_without_the_gripper_are_the_arms(arm, tmp_path, capsys):
+    """`columns` maps q1 and q2 onto the joints that carry the tool: a finger has no column, and the numbers are two."""
+    log, map_ = tmp_path / "log.csv", tmp_path / "map.yaml"
+    log.write_text(
+        "time,q1,q2,tau_J1,tau_J2\n" + "".join(f"{k / 100},{k / 40},{k * k / 2000},1,{k}\n" for k in range(40))
+    )
+    assert main(["columns", str(log), str(arm), "--out", str(map_), "--quiet"]) == 0
+    capsys.readouterr()
+    assert yaml.safe_load(map_.read_text()) == {
+        "t": "time", "q_shoulder": "q1", "q_elbow": "q2", "tau_shoulder": "tau_J1", "tau_elbow": "tau_J2"
+    }  # fmt: skip
 
 
 def test_poses_without_the_gripper_hold_it_still(arm, tmp_path, capsys):

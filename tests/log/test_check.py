@@ -56,6 +56,12 @@ def test_a_joint_that_rests_before_it_moves_is_not_frozen_under_an_uneven_clock(
     assert "frozen" not in topics(check_log(log))
 
 
+def test_a_force_below_the_drives_resolution_is_not_frozen(axis_log):
+    """A drive gives forces below its threshold as zero, for 0.3 s at a time, while the joint moves."""
+    tau = np.where(np.abs(axis_log.t % 4.0 - 2.0) < 0.15, 0.0, axis_log.channels["tau_axis"])
+    assert "frozen" not in topics(check_log(axis_log.with_channels(tau_axis=tau)))
+
+
 def test_a_clipped_force_is_found(axis_log):
     """A drive that saturates at 40 N shows plateaus; so much of it is a fault."""
     tau = axis_log.channels["tau_axis"]

@@ -95,8 +95,12 @@ def columns(
         from tau_dyn.legged import propose_robot_columns
 
         machine = robot_options.load(robot, may_float=True)
-        of_poses = propose_pose_columns(log, robot_options.hold_silent_joints(machine, robot, []))
-        proposal = of_poses or propose_robot_columns(log, machine)
+        arm = robot_options.hold_silent_joints(machine, robot, [])
+        proposal = propose_pose_columns(log, arm) or propose_robot_columns(log, machine)
+        if arm is not machine and not any(
+            key.startswith("q_") for key in proposal.entries
+        ):  # a log without the gripper
+            proposal = propose_robot_columns(log, arm)
     text = proposal.to_yaml()
     return Outcome(
         result=proposal.to_dict(),

@@ -225,9 +225,12 @@ def check_signals(log: Log, moving: dict[str, NDArray[np.bool_]]) -> tuple[list[
             column = f"{signal}_{joint}"
             runs = find_constant_runs(log.channels[column])
             moves = moving.get(joint, np.ones(log.n_samples, dtype=bool))
-            found, measured = _constant(log, column, runs), signal != "q_ref"
-            found = found or (_frozen(log, column, runs, moves) if measured else None)
+            found = _constant(log, column, runs)
+            if signal == "q":
+                found = found or _frozen(log, column, runs, moves)
             if signal == "tau":
+                still = find_frozen_force(log, joint, moves)
+                found = found or (_describe_frozen(log, still[0]) if still else None)
                 clipped[column] = compute_clipped_share(runs, moves)
                 found = found or _clipped(log, column, clipped[column])
             findings.append(found or CheckFinding("ok", "signal", f"{column}: no fault found."))
@@ -261,19 +264,21 @@ def _constant(log: Log, column: str, runs: ConstantRuns) -> CheckFinding | None:
 
 
 def _frozen(log: Log, column: str, runs: ConstantRuns, moves: NDArray[np.bool_]) -> CheckFinding | None:
-    """Find a long stretch without a change during motion, except at the extremes, which is clipping."""
-    extreme = (runs.values == runs.values.max()) | (runs.values == runs.values.min())
+    """Find a long stretch of a position without a change during motion."""
     needed = max(MIN_FROZEN_S * log.rate_hz, 5 * float(np.median(runs.lengths)))
-    inside = np.flatnonzero((runs.lengths >= needed) & ~(extreme & column.startswith("tau_")))
-    for k in inside:
-        start, stop = runs.starts[k], runs.starts[k] + runs.lengths[k]
+    for k in np.flatnonzero(runs.lengths >= needed):
+        start, stop = int(runs.starts[k]), int(runs.starts[k] + runs.lengths[k])
         if np.mean(moves[start:stop]) > 0.5:
-            span = f"{log.t[start]:.6g} to {log.t[stop - 1]:.6g} s"
-            sentence = f"{log.name}: {column} stays at {runs.values[k]:.6g} from {span}, while the joint moves."
-            return CheckFinding(
-                "fault", "frozen", sentence, "Leave that stretch out; look at the sensor or its bus.", "held_channel"
-            )
+            return _describe_frozen(log, FrozenStretch(column, start, stop, ""))
     return None
+
+
+def _describe_frozen(log: Log, frozen: FrozenStretch) -> CheckFinding:
+    span = f"{log.t[frozen.start]:.6g} to {log.t[frozen.stop - 1]:.6g} s"
+    value = log.channels[frozen.column][frozen.start]
+    sentence = f"{log.name}: {frozen.column} stays at {value:.6g} from {span}, while the joint moves."
+    remedy = "Leave that stretch out; look at the sensor or its bus."
+    return CheckFinding("fault", "frozen", sentence, remedy, "held_channel")
 
 
 MIN_LONGER = 10.0
