@@ -170,6 +170,7 @@ def test_the_geometry_is_fitted_as_the_file_is_meant(robot):
     [
         ("rx,ry,rz", "", 1.0),
         ("roll,pitch,yaw", "xyz", 1.0),
+        ("phix1,phiy1,phiz1", "xyz", 1.0),
         ("w,p,r", "xyz", 57.29577951308232),
         ("rx,ry,rz", "XYZ", 1.0),
     ],
@@ -180,7 +181,9 @@ def test_three_angles_are_read(robot, tmp_path, names: str, sequence: str, unit:
     assert poses.rotation is not None
     turned = Rotation.from_matrix(poses.rotation)
     angles = unit * (turned.as_euler(sequence) if sequence else turned.as_rotvec())
-    head = ",".join([f"q_j{k + 1}" for k in range(4)] + ["x_mm,y_mm,z_mm", names])
+    head = ",".join(
+        [f"q_j{k + 1}" for k in range(4)] + ["x1_mm,y1_mm,z1_mm" if "1" in names else "x_mm,y_mm,z_mm", names]
+    )
     np.savetxt(
         tmp_path / "p.csv", np.c_[poses.q, 1e3 * poses.position, angles], delimiter=",", header=head, comments=""
     )

@@ -136,8 +136,8 @@ def test_the_demo_hashes_logs_as_their_files_are_written(tmp_path):
     assert read_log(tmp_path / log.name).sha256 == log.sha256 != ""
 
 
-def test_the_demo_asks_which_of_several_arms(write, tmp_path):
-    """Where two arms begin at the base, the sentence says how to choose; chosen, the other arm stands still."""
+def test_several_arms_need_a_tool(write, tmp_path, capsys):
+    """Where two arms begin at the base, the sentences say how to choose; chosen, the other arm stands still."""
     path = tmp_path / "two_arms.urdf"
     parts = (
         write.link(f"{side}_link", 1.0, "0 0 -0.2", "1e-3 1e-3 1e-3")
@@ -149,3 +149,7 @@ def test_the_demo_asks_which_of_several_arms(write, tmp_path):
         load_arm(str(path), RobotOptions())
     robot, call = load_arm(str(path), RobotOptions(tool="right_link"))
     assert robot.actuated == ("right",) and "--tool right_link" in call
+    poses = tmp_path / "poses.csv"
+    poses.write_text("q_right,x_tool,y_tool,z_tool\n" + "".join(f"{k},0,0,1\n" for k in range(9)))
+    assert main(["calibrate", str(path), str(poses), "--quiet"]) == 2
+    assert "--tool" in capsys.readouterr().err

@@ -125,8 +125,11 @@ def _read_poses(options: args.RobotOptions, robot: str, machine, poses: Path, re
         return machine, read_poses(poses, machine.actuated, **reading)
     except InputError as fault:
         carrying = options.hold_silent_joints(machine, robot, [])
-        if fault.code != "missing_column" or carrying is machine:
+        if fault.code != "missing_column":
             raise
+        if carrying is machine:
+            hint = "" if machine.tool else ". If some joints do not move the tool, name its frame with --tool"
+            raise InputError(fault.code, f"{fault}{hint}") from None
     return carrying, read_poses(poses, carrying.actuated, **reading)
 
 

@@ -1,9 +1,9 @@
 """Columns of pose files with the names of controllers and devices, mapped to our names.
 
-Positions `x y z`, `tcp_x`, `x_mm`; orientations as quaternions `qx qy qz qw`, as rotation vectors `rx ry rz` (UR), or as angles:
-`roll pitch yaw` and `w p r` (FANUC) about fixed x, y, z; `a b c` (KUKA) about z, y', x''. Endings `_mm`, `_deg` give units.
-Angles of `w p r` and `a b c` are degrees, others radians unless one exceeds a turn. `rx_tool ry_tool rz_tool` is our name of
-three numbers.
+Positions `x y z`, `tcp_x`, `x_mm`, or `x1 y1 z1`, the first of several points; orientations as quaternions `qx qy qz qw`, as
+rotation vectors `rx ry rz` (UR), or as angles: `roll pitch yaw`, `phix1 phiy1 phiz1` (FIGAROH) and `w p r` (FANUC) about fixed
+x, y, z; `a b c` (KUKA) about z, y', x''. Endings `_mm`, `_deg` give units. Angles of `w p r` and `a b c` are degrees, others
+radians unless one exceeds a turn. `rx_tool ry_tool rz_tool` is our name of three numbers.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tau_dyn.message_codes import CodedWarning
 ANGLES = ("rx_tool", "ry_tool", "rz_tool")
 _UNIT_FACTORS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "deg": np.pi / 180, "rad": 1.0}
 _UNIT_END = re.compile(r"(?:[_ ]?[\[(]|[_ ])(mm|cm|m|deg|rad)[\])]?$")
-_PLACE = re.compile(r"^(?:(?:tcp|tool|pos|position|ee|flange|target|p)[_.]?)?([xyz])(?:[_.]?(?:tcp|tool|ee|pos))?$")
+_PLACE = re.compile(r"^(?:(?:tcp|tool|pos|position|ee|flange|target|p)[_.]?)?([xyz])(?:1|[_.]?(?:tcp|tool|ee|pos))?$")
 _QUATERNION = re.compile(r"^(?:(?:tcp|tool|ee)[_.]?)?(?:q|quat_?|quaternion_?|o)([xyzw])(?:[_.]?(?:tcp|tool|ee))?$")
 _DISTANCES = ("distance", "distance_tool", "wire_length", "range")
 _ONE_TURN = 2 * np.pi
@@ -40,6 +40,7 @@ class _Triple(NamedTuple):
 _TRIPLES = (
     _Triple(("rx", "ry", "rz"), "", False),
     _Triple(("roll", "pitch", "yaw"), "xyz", False),
+    _Triple(("phix1", "phiy1", "phiz1"), "xyz", False),
     _Triple(("w", "p", "r"), "xyz", True),
     _Triple(("c", "b", "a"), "xyz", True),
 )
