@@ -106,6 +106,21 @@ def test_logs_of_franka(tmp_path):
     assert_allclose(np.diff(log.t), 0.002, atol=1e-9)
 
 
+def test_a_joints_name_alone_is_its_position(tmp_path):
+    """Positions often have no other name than the joint; where another group says `position`, they are left out."""
+    q, v = make_motion(6)
+    table = pd.DataFrame({"t": T} | dict(zip(UR.actuated, q.T, strict=True)))
+    efforts = {f"{joint}_effort": x for joint, x in zip(UR.actuated, v.T, strict=True)}
+    table.assign(**efforts).to_csv(tmp_path / "bare.csv", index=False)
+    bare = propose_columns(tmp_path / "bare.csv", UR)
+    assert bare.entries["q_elbow"] == "elbow" and bare.entries["tau_elbow"] == "elbow_effort"
+    assert any("names alone" in sentence for sentence in bare.warnings)
+    said = {f"{joint}_position": x for joint, x in zip(UR.actuated, v.T, strict=True)}
+    table.assign(**said).to_csv(tmp_path / "both.csv", index=False)
+    both = propose_columns(tmp_path / "both.csv", UR)
+    assert both.entries["q_elbow"] == "elbow_position" and "column_unsure" not in codes_of(both)
+
+
 def test_lists_in_brackets(tmp_path):
     """A cell `[0.1, 0.2]` of a text becomes a column each; lists of several lengths stay text."""
     q, v = make_motion(2)

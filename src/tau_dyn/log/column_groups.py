@@ -85,6 +85,8 @@ def find_groups(columns: Sequence[str], joints: Sequence[str], file: str) -> lis
             continue
         kind = _classify(stem) or ("" if not set(stem) <= {"joint", "axis", "j"} else _classify(split_words(file)))
         groups.append(ColumnGroup(kind, stem, order, by_name, more))
+    if not any(group.kind == "q" for group in groups):  # a column of the joint's name alone holds its position
+        groups = [g._replace(kind="q") if g.by_name and not g.stem and not g.kind else g for g in groups]
     whole = {group.kind for group in groups}
     return [*groups, *_find_partial_groups(stems, columns, joints, set(_PARTIAL) - whole)]
 

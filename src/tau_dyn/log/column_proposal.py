@@ -413,6 +413,9 @@ def _propose_positions(
             "lines of the template by hand."
         )
         return _Positions({}, {}), _Draft({}, [CodedWarning("column_missing", sentence)])
+    if chosen.by_name and not chosen.stem:
+        sentence = f"{format_names(chosen.columns)} have the joints' names alone and are taken for positions."
+        warnings = [*warnings, CodedWarning("column_unsure", sentence)]
     if not chosen.by_name and len(joints) > 1:
         more = f"; {chosen.more} more are left out." if chosen.more else "."
         sentence = (
