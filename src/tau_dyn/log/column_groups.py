@@ -44,6 +44,7 @@ class ColumnGroup(NamedTuple):
     by_name: bool
     more: int = 0  # numbers beyond the joints
     filled: tuple[str, ...] = ()  # columns of other words or of a shorter joint's name
+    bare: bool = False  # whether only the joints' names say that these are positions
 
     def score(self) -> tuple[bool, int]:
         """Return a rank of how likely the group holds the measured quantity."""
@@ -86,7 +87,7 @@ def find_groups(columns: Sequence[str], joints: Sequence[str], file: str) -> lis
         kind = _classify(stem) or ("" if not set(stem) <= {"joint", "axis", "j"} else _classify(split_words(file)))
         groups.append(ColumnGroup(kind, stem, order, by_name, more))
     if not any(group.kind == "q" for group in groups):  # a column of the joint's name alone holds its position
-        groups = [g._replace(kind="q") if g.by_name and not g.stem and not g.kind else g for g in groups]
+        groups = [g._replace(kind="q", bare=True) if g.by_name and not g.stem and not g.kind else g for g in groups]
     whole = {group.kind for group in groups}
     return [*groups, *_find_partial_groups(stems, columns, joints, set(_PARTIAL) - whole)]
 

@@ -413,7 +413,7 @@ def _propose_positions(
             "lines of the template by hand."
         )
         return _Positions({}, {}), _Draft({}, [CodedWarning("column_missing", sentence)])
-    if chosen.by_name and not chosen.stem:
+    if chosen.bare:
         sentence = f"{format_names(chosen.columns)} have the joints' names alone and are taken for positions."
         warnings = [*warnings, CodedWarning("column_unsure", sentence)]
     if not chosen.by_name and len(joints) > 1:
