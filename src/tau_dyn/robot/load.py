@@ -38,6 +38,7 @@ from tau_dyn.robot.independent_drives import find_independent_drives
 from tau_dyn.robot.loop_file import add_loops, find_loop_file
 from tau_dyn.robot.numbers import MAX_NUMBER, check_inertia
 from tau_dyn.robot.packages import StockRobot, find_described_robot
+from tau_dyn.robot.plausible_units import list_unit_warnings
 from tau_dyn.robot.robot import NO_DRIVE, NOT_GIVEN, LinkInertia, Loop, Robot, get_inertial_parameters
 from tau_dyn.robot.semantics import find_srdf, read_passive_joints
 
@@ -187,7 +188,7 @@ def load_robot_from_urdf(
     coordinates = BASE_COORDINATES if notes.floating else ()
     if notes.floating and notes.loops:
         raise InputError("unsupported", f"{source}: loops in the legs of a floating base are not read yet")
-    warnings += notes.warnings
+    warnings += [*notes.warnings, *list_unit_warnings(model, source)]
     followers = [n for n in notes.mimics if n in names]
     if followers:
         warnings.append(f"{source}: {', '.join(followers)} are named as actuated, so their <mimic> does not count")
