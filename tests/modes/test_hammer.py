@@ -23,6 +23,7 @@ from tau_dyn.modes.order import OrderTrial
 from tau_dyn.modes.record import Record, prepare_records, split_pulses
 from tau_dyn.modes.refinement import refine
 from tau_dyn.modes.sensors import STANDARD_GRAVITY, find_sensor_kind
+from tau_dyn.render import present
 
 RATE = 1000.0
 M, K = np.diag([6.0, 3.0]), np.array([[9e5, -3e5], [-3e5, 4e5]])
@@ -74,6 +75,19 @@ def test_accelerations_in_g_give_masses_in_kilograms(found):
     np.testing.assert_allclose(m.M, M, atol=4 * m.stderr.M.max())
     np.testing.assert_allclose(np.diag(m.M), np.diag(M), rtol=0.01)
     assert m.to_dict()["sensor_unit"] == STANDARD_GRAVITY
+
+
+def test_an_accelerometer_that_holds_only_noise_is_named():
+    """A cable that is off leaves noise, which no force explains; the other sensor's modes and verdict stay."""
+    log = blows(1)
+    noise = 0.01 * np.random.default_rng(2).standard_normal(len(log.t))
+    dead = Log(log.t, {**log.channels, "acc2_g": noise}, name="hammer")
+    found = find_modes(dead, INPUTS, OUTPUTS, order=4, delay=0)
+    assert found.silent_outputs == ("acc2_g",)
+    assert [w.code for w in found.warnings if "acc2_g" in w] == ["faulty_channel"]
+    verdict = present(found).verdict
+    assert verdict is not None and "Disturbances" not in verdict.sentence
+    assert find_modes(log, INPUTS, OUTPUTS, order=4, delay=0).silent_outputs == ()
 
 
 def fit_masses(seed: int, noise: float) -> tuple[np.ndarray, np.ndarray]:
