@@ -62,6 +62,7 @@ from .resample import (
     ensure_even as ensure_even,
     examine_clock as examine_clock,
     find_true_runs as find_true_runs,
+    mend_rounded_stamps as mend_rounded_stamps,
     resample_segments as resample_segments,
     split_at_gaps as split_at_gaps,
     split_by_motion as split_by_motion,
