@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import forward_kinematics
-from tau_dyn.robot import load_robot_from_urdf
+from tau_dyn.robot import load_robot, load_robot_from_urdf
 
 
 @pytest.mark.parametrize(
@@ -52,3 +52,18 @@ def test_gazebos_mimic_plugin_couples_joints_as_mimic_does(write):
     assert coupled.actuated == plain.actuated == ("shoulder",) and coupled.mimics == plain.mimics
     tools = [forward_kinematics(robot, np.array([0.3])).poses.position for robot in (coupled, plain)]
     assert_allclose(tools[0], tools[1], atol=1e-12)
+
+
+def test_a_follower_of_a_held_joint_is_held_at_its_own_position(write, tmp_path):
+    """The plugin's law gives the follower's place as `<mimic>` does: held at 0.4 rad, the follower stays at 0 rad."""
+    law = "<multiplier>-0.5</multiplier><offset>0.2</offset>"
+    plugin = f'<gazebo><plugin name="m"><joint>elbow</joint><mimicJoint>wrist</mimicJoint>{law}</plugin></gazebo>'
+    hand = write.rod("hand_link", 1, 0.2) + write.joint(
+        "wrist", "revolute", "lower_link", "hand_link", "0 1 0", "0.3 0 0"
+    )
+    path = tmp_path / "arm.urdf"
+    path.write_text(write.two_link().replace("</robot>", f"{hand}{plugin}</robot>"))
+    robot = load_robot(path, hold={"elbow": 0.4}, tool="hand_link")
+    assert robot.actuated == ("shoulder",) and robot.model.njoints == 2
+    place = forward_kinematics(robot, np.array([0.0])).poses.position[0]
+    assert_allclose(place, [0.4 + 0.3 * np.cos(0.4), 0.0, -0.3 * np.sin(0.4)], atol=1e-12)

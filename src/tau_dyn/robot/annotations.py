@@ -18,7 +18,7 @@ from defusedxml.ElementTree import fromstring
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.robot.floating_base import FLAT, POINT, ContactFrame
-from tau_dyn.robot.gazebo import list_gazebo_mimics, refuse_gazebo_loops
+from tau_dyn.robot.gazebo import refuse_gazebo_loops, write_gazebo_mimics
 from tau_dyn.robot.numbers import (
     MAX_NUMBER,
     build_rotation,
@@ -159,6 +159,7 @@ def read_annotations(urdf: str, where: str) -> Annotations:
     check_names(root.iter(), where)
     check_numbers(root, where)
     check_parents(root, where)
+    write_gazebo_mimics(root)
     reader = _Reader(root, where)
     refuse_gazebo_loops(root, where)
     mechanism = reader.ours("mechanism")
@@ -208,12 +209,7 @@ class _Reader:
             element = joint.find("mimic")
             if element is not None and joint.get("type") != "fixed":
                 found[joint.get("name", "")] = self._read_mimic(element)
-        simulated = {
-            e.get("name", ""): self._read_mimic(e)
-            for e in list_gazebo_mimics(self.root)
-            if e.get("name") in self.joints
-        }
-        return simulated | self._controlled_mimics() | found
+        return self._controlled_mimics() | found
 
     def _read_mimic(self, element: Element) -> Mimic:
         share, offset = (

@@ -7,7 +7,7 @@ Gazebo closes loops by joints and plugins (`DetachableJoint`) outside the tree, 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, SubElement
 
 from tau_dyn.exceptions import InputError
 
@@ -67,18 +67,21 @@ def _find_base(root: Element) -> set[str]:
     return still
 
 
-def list_gazebo_mimics(root: Element) -> list[Element]:
-    """Return each mimic plugin of Gazebo as a `<mimic>` with the attributes `name` (of the follower), `joint` and its law.
+def write_gazebo_mimics(root: Element) -> None:
+    """Write each mimic plugin of Gazebo as the `<mimic>` of its follower, where that has none, and remove the plugin.
 
     The plugin's position is `multiplier * position of joint + offset` [m or rad], that of URDF.
     """
-    found = []
-    for plugin in root.findall("gazebo/plugin"):
-        leader, follower = (_read_text(plugin, tag).split("::")[-1] for tag in ("joint", "mimicJoint"))
-        if leader and follower:
-            law = {"multiplier": _read_text(plugin, "multiplier") or "1", "offset": _read_text(plugin, "offset") or "0"}
-            found.append(Element("mimic", {"name": follower, "joint": leader, **law}))
-    return found
+    movable = {e.get("name", ""): e for e in root.findall("joint") if e.get("type") != "fixed"}
+    for element in root.findall("gazebo"):
+        for plugin in element.findall("plugin"):
+            leader, follower = (_read_text(plugin, tag).split("::")[-1] for tag in ("joint", "mimicJoint"))
+            if not leader or not follower:
+                continue
+            element.remove(plugin)
+            if follower in movable and movable[follower].find("mimic") is None:
+                law = {key: text for key in ("multiplier", "offset") if (text := _read_text(plugin, key))}
+                SubElement(movable[follower], "mimic", {"joint": leader, **law})
 
 
 def _read_text(element: Element, tag: str) -> str:
