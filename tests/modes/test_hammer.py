@@ -77,6 +77,19 @@ def test_accelerations_in_g_give_masses_in_kilograms(found):
     assert m.to_dict()["sensor_unit"] == STANDARD_GRAVITY
 
 
+def test_a_sensor_that_drifts_adds_no_modes():
+    """A charge amplifier's offset and drift are no motion: the modes are those without them, and the sensor is named."""
+    log = blows(1)
+    drift = 0.3 + 0.02 * log.t
+    drifting = Log(log.t, {**log.channels, "acc1_g": log.channels["acc1_g"] + drift}, name="hammer")
+    records = [prepare_records([x], INPUTS, OUTPUTS) for x in (log, drifting)]
+    assert ["acc1_g drifts" in w for r in records for w in r.warnings if "drifts" in w] == [True]
+    clean, mended = (np.concatenate([r.y for r in x.whole]) for x in records)
+    noise = 1e-3 * np.abs(log.channels["acc1_g"]).max()
+    assert np.sqrt(np.mean((clean - mended)[:, 0] ** 2)) < 0.5 * noise < 0.1 * np.ptp(drift) / 8
+    assert np.array_equal(clean[:, 1], mended[:, 1])
+
+
 def test_an_accelerometer_that_holds_only_noise_is_named():
     """A cable that is off leaves noise, which no force explains; the other sensor's modes and verdict stay."""
     log = blows(1)

@@ -9,8 +9,12 @@ import pytest
 from tau_dyn.robot import load_robot_from_urdf
 
 
+def _list(urdf: str) -> list[str]:
+    return list(load_robot_from_urdf(urdf, "arm").warnings)
+
+
 def _units(urdf: str) -> list[str]:
-    return [w for w in load_robot_from_urdf(urdf, "arm").warnings if "mm" in w]
+    return [w for w in _list(urdf) if "mm" in w]
 
 
 @pytest.fixture
@@ -35,3 +39,11 @@ def test_inertias_in_kg_mm2_are_named_for_each_heavy_body(arm):
     text = re.sub(r'(i[xyz][xyz])="([^"]+)"', lambda m: f'{m[1]}="{1e6 * float(m[2])}"', arm)
     assert [w.split("'")[1] for w in _units(text)] == ["shoulder", "elbow"]
     assert all("kg mm^2" in w for w in _units(text))
+
+
+def test_limits_in_degrees_are_named(arm):
+    """A joint of an arm turns less than four times; a slide of 30 m and a joint without limits are no such joint."""
+    wide = re.sub(r'lower="[^"]*" upper="[^"]*"', 'lower="-170" upper="170"', arm)
+    assert wide != arm and any("shoulder, elbow reach -170 to 170 rad; are they in degrees" in w for w in _list(wide))
+    assert not any("degrees" in w for w in _list(wide.replace("revolute", "prismatic")))
+    assert not any("degrees" in w for w in _list(wide.replace("revolute", "continuous")))

@@ -7,6 +7,8 @@ import pinocchio as pin
 
 MAX_LENGTH_M = 100.0
 """Largest distance between neighbouring joints, or of a centre of mass from its joint; the boom of a crane is shorter."""
+MAX_LIMIT_RAD = 25.0
+"""Largest limit of a turning joint, four turns; +-30 degrees written as such exceed it."""
 MIN_DENSITY_KG_M3 = 0.01
 """Smallest mass over the cube of the radius of gyration, a hundredth of the density of air. A slender rod of 1 kg and 3 m
 has 1.5; an inertia in kg mm^2 or a file in mm lowers it by 1e9, one in kg cm^2 by 1e6, one in mm and g by 1e6."""
@@ -32,6 +34,18 @@ def list_unit_warnings(model: pin.Model, where: str) -> list[str]:
             f"lies {length:.3g} m from the joint before" if apart[k] == length else f"has a centre {length:.3g} m away"
         )
         found.append(f"joint '{names[k]}' {what}; are lengths in mm? They are read in m")
+    joints = ((k, model.joints[k]) for k in range(1, model.njoints))
+    turning = [k for k, joint in joints if joint.nq == 1 and joint.shortname().startswith("JointModelR")]
+    bounds = {
+        names[k]: [float(x[model.joints[k].idx_q]) for x in (model.lowerPositionLimit, model.upperPositionLimit)]
+        for k in turning
+    }
+    wide = [name for name, ends in bounds.items() if MAX_LIMIT_RAD < max(map(abs, ends)) <= 360]
+    if wide:
+        low, high = bounds[wide[0]]
+        found.append(
+            f"the limits of {', '.join(wide)} reach {low:.4g} to {high:.4g} rad; are they in degrees? They are read in rad"
+        )
     heavy = MIN_MASS_SHARE * sum(body.mass for body in bodies)
     for name, body in zip(names, bodies, strict=True):
         radius = float(np.sqrt(np.trace(body.inertia) / 2 / body.mass)) if body.mass > 0 else 0.0
