@@ -50,8 +50,8 @@ def refuse_odd_commands(records: Sequence[LoopRecord], joints: Sequence[str]) ->
             j = int(np.argmax(moves))
             raise InputError(
                 "poor_excitation",
-                f"{record.name}: the commands never change, while q_{joints[j]} moves by {moves[j]:.3g}; log what the servo "
-                "is told",
+                f"{record.name}: the commands never change, while q_{joints[j]} moves by {moves[j]:.3g}; log the commands that "
+                "the servo receives",
             )
         for j, joint in enumerate(joints):
             if said := _describe_ratio(command[:, j], followed[:, j], joint, moves[j]):
