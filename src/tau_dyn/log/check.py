@@ -366,7 +366,7 @@ UNIT_TOLERANCE = 0.1
 
 
 def describe_other_scale(
-    column: str, x: np.ndarray, trusted: str, y: np.ndarray, *, correlated: float = MIN_CORRELATION
+    column: str, x: np.ndarray, trusted: str, y: np.ndarray, *, correlated: float = MIN_CORRELATION, key: str = ""
 ) -> str:
     """Return a sentence if a signal has another unit or sign than one that it follows or that follows it.
 
@@ -376,6 +376,7 @@ def describe_other_scale(
         trusted: Name of the other signal, in SI.
         y: Its samples (N,).
         correlated: Least correlation from which the ratio of both counts.
+        key: Name of the doubted signal in a column map; its own by default.
 
     Returns:
         The sentence, with a line for the column map; empty where their ratio is plausible, or tells nothing.
@@ -394,4 +395,5 @@ def describe_other_scale(
     shift = f", offset: {offset:.3g}" if abs(offset) > MIN_OFFSET else ""
     what = [f"runs against {trusted}"] if ratio < 0 else []
     what += [] if usual else [f"is {1 / size:.3g} times as large as {trusted}" + (f", as if in {unit}" if unit else "")]
-    return f"{column} {' and '.join(what)}; write `{column}: {{column: {column}, scale: {scale:.6g}{shift}}}` into a column map"
+    line = f"{key or column}: {{column: {column}, scale: {scale:.6g}{shift}}}"
+    return f"{column} {' and '.join(what)}; write `{line}` into a column map"

@@ -169,8 +169,8 @@ def fit_contact_stiffness(position: np.ndarray, force: np.ndarray, threshold: fl
     if travel > MAX_INDENTATION_M:
         raise InputError(
             "wrong_unit",
-            f"the position moves by {travel:.3g} m in contact, more than a tool is pressed into any work; is it in mm? A column "
-            "map with `scale: 0.001` reads it",
+            f"the position moves by {travel:.3g} m in contact, more than a tool is pressed into any work; is it in mm? Write "
+            "`x_tool: {column: .., scale: 0.001}` into a column map, and --position x_tool",
         )
     columns = np.column_stack([position[touching], np.ones(touching.sum())])
     found, *_ = np.linalg.lstsq(columns, force[touching], rcond=None)

@@ -17,6 +17,7 @@ SLOW_HZ = 3.0
 """Low-pass below the resonances of tools on robots [Hz]."""
 MIN_CORRELATION = 0.8
 """Correlation of both slow accelerations from which their ratio is a scale: springs and noise leave some difference."""
+_KEYS = ("ax_tool", "ay_tool", "az_tool")  # accelerations in a column map
 GRAVITY_M_S2, GRAVITY_TOLERANCE = 9.81, 0.1
 
 
@@ -38,14 +39,14 @@ def refuse_odd_accelerations(
     if 1 / dt > 2.5 * SLOW_HZ and len(computed) * dt > 2 / SLOW_HZ:
         slow = lowpass(measured, SLOW_HZ, 1 / dt)
         moved = differentiate(differentiate(lowpass(computed, SLOW_HZ, 1 / dt), dt), dt)
-        for column, x, name, y in zip(columns, slow.T, names, moved.T, strict=True):
+        for key, column, x, name, y in zip(_KEYS, columns, slow.T, names, moved.T, strict=False):
             what = f"the acceleration of {name}"
-            if said := describe_other_scale(column, x, what, y, correlated=MIN_CORRELATION):
-                raise InputError("wrong_unit", said)
+            if said := describe_other_scale(column, x, what, y, correlated=MIN_CORRELATION, key=key):
+                raise InputError("wrong_unit", f"{said} (--acceleration {key})")
     mean = measured.mean(axis=0)
     if abs(np.linalg.norm(mean) / GRAVITY_M_S2 - 1) < GRAVITY_TOLERANCE:
         k = int(np.argmax(np.abs(mean)))
-        line = f"`{columns[k]}: {{column: {columns[k]}, offset: {-mean[k]:.4g}}}`"
+        line = f"`{_KEYS[k]}: {{column: {columns[k]}, offset: {-mean[k]:.4g}}}`"
         raise InputError(
             "invalid_value",
             f"{columns[k]} has the mean {mean[k]:.4g} m/s^2 from rest to rest: the accelerometer measures gravity too; subtract "
