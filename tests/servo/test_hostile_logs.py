@@ -81,7 +81,7 @@ def _set_commands(log: Log, scale: float, offset: float = 0.0) -> Log:
     [
         (-1.0, 0.0, "scale: -1}"),
         (180 / np.pi, 0.0, "scale: 0.0174533}"),
-        (4096 / (2 * np.pi), 2048.0, "scale: 0.00153398, offset: -3"),
+        (4096 / (2 * np.pi), 2048.0, "scale: 0.00153398, offset: -3.14159}"),
         (1e3, 0.0, "scale: 0.001}"),
     ],
 )
@@ -91,7 +91,7 @@ def test_commands_in_another_unit_or_sign_are_refused_with_a_map(log, scale, off
         read(_set_commands(log, scale, offset))
     proposed = dict(part.split(": ") for part in re.search(r"\{(.*)\}", str(refused.value))[1].split(", "))
     mended = float(proposed["scale"]) * (scale * log.channels["cmd_j1"] + offset) + float(proposed.get("offset", 0.0))
-    assert np.abs(mended - log.channels["cmd_j1"]).max() < 0.1
+    assert np.abs(mended - log.channels["cmd_j1"]).max() < 1e-4
     assert read(log.with_channels(cmd_j1=mended)).kept
 
 

@@ -361,6 +361,7 @@ UNITS = {
     "multiples of g": 9.80665,
     **{f"steps of {n} a turn": 2 * np.pi / n for n in (1024, 4096, 16384, 65536)},
 }
+MAX_QUARTER_ERROR = 0.2  # of a quarter turn, to which droop may move the zero of an encoder
 UNIT_TOLERANCE = 0.1
 """Relative difference of a ratio from a unit's that friction and droop may cause."""
 
@@ -392,7 +393,10 @@ def describe_other_scale(
     unit = "" if usual else next((name for name, of in UNITS.items() if abs(size / of - 1) < UNIT_TOLERANCE), "")
     scale = np.sign(ratio) * (1.0 if usual else UNITS.get(unit, float(f"{size:.2g}")))
     offset = float(np.mean(y) - scale * np.mean(x))
-    shift = f", offset: {offset:.3g}" if abs(offset) > MIN_OFFSET else ""
+    quarters = offset / (np.pi / 2)  # an encoder's zero; droop under gravity moves the mean off it
+    if unit.startswith("steps") and abs(quarters - round(quarters)) < MAX_QUARTER_ERROR:
+        offset = round(quarters) * np.pi / 2
+    shift = f", offset: {offset:.6g}" if abs(offset) > MIN_OFFSET else ""
     what = [f"runs against {trusted}"] if ratio < 0 else []
     what += [] if usual else [f"is {1 / size:.3g} times as large as {trusted}" + (f", as if in {unit}" if unit else "")]
     line = f"{key or column}: {{column: {column}, scale: {scale:.6g}{shift}}}"
