@@ -152,6 +152,19 @@ def test_a_history_without_commands_or_of_another_motion_is_refused(folder, caps
     assert not (folder / "no.csv").exists()
 
 
+@pytest.mark.parametrize(("scale", "line"), [(1e3, "as if in thousandths"), (-1.0, "runs against q_ref_cart2")])
+def test_a_trial_in_another_unit_or_sign_is_refused(folder, scale, line, capsys) -> None:
+    """A drive follows its motion: a thousand times its size is mm, the other direction a sign, and nothing is learnt from it."""
+    run_trial(folder, "si.csv")
+    trial = pd.read_csv(folder / "si.csv")
+    trial["q_cart2"] *= scale
+    trial.to_csv(folder / "odd.csv", index=False)
+    command = ["learn", str(folder / "ref.csv"), str(folder / "odd.csv"), "--out", str(folder / "no.csv"), "--quiet"]
+    assert main(command) == 2
+    said = capsys.readouterr().err
+    assert line in said and "q_cart2: {column: q_cart2, scale:" in said and not (folder / "no.csv").exists()
+
+
 @pytest.mark.parametrize(
     ("more", "said"),
     [

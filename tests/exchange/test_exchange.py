@@ -238,3 +238,58 @@ def test_drake_moves_as_we_do(name, write):
     q = plant.GetPositions(context)[[j.position_start() for j in joints]]
     ours = free_motion(model, robot.home, 0 * robot.home, 0.5, dt=2.5e-4, tau=force).q
     assert np.abs(q - ours[-1]).max() < 1e-3 * np.ptp(ours, axis=0).max()
+
+
+MIMIC = '<mimic joint="shoulder" multiplier="-0.5" offset="0.2"/>'
+
+
+def _couple(write, rule: str, *, plugin: bool = False) -> str:
+    """Return two links of which the elbow follows the shoulder, by URDF's element or by Gazebo's plugin; both have motors."""
+    if plugin:
+        law = "<multiplier>-0.5</multiplier><offset>0.2</offset>"
+        gazebo = (
+            f'<gazebo><plugin name="m"><joint>shoulder</joint><mimicJoint>elbow</mimicJoint>{law}</plugin></gazebo>'
+        )
+        return write.two_link().replace("</robot>", f"{gazebo}</robot>")
+    elbow = '<joint name="elbow" type="revolute">'
+    return write.two_link().replace(elbow, elbow + rule)
+
+
+@pytest.mark.parametrize("plugin", [False, True])
+@pytest.mark.parametrize("actuated", [["shoulder"], ["shoulder", "elbow"]])
+def test_a_coupling_that_does_not_count_is_not_written(write, plugin, actuated, rng):
+    """A follower that was named as a drive is one in the file too; one that follows still follows."""
+    robot = load_robot_from_urdf(_couple(write, MIMIC, plugin=plugin), "arm", actuated=actuated)
+    again = load_robot_from_urdf(build_urdf(Model.of(robot)).text, "again")
+    assert list(again.actuated) == actuated and again.mimics == robot.mimics
+    q, v, a = motion(robot, rng)
+    want = Model.of(robot).mechanism.inverse_dynamics(q, v, a)
+    assert_allclose(Model.of(again).mechanism.inverse_dynamics(q, v, a), want, atol=1e-9 * np.abs(want).max())
+
+
+@pytest.mark.parametrize("rule", ["", MIMIC.replace("shoulder", "elbow")])
+def test_joints_that_are_held_do_not_swing_in_other_programs(write, rule):
+    """A joint of a tree without a motor is held still by us, so MJCF and SDF fix it, and what follows it, where it is held."""
+    import mujoco
+
+    from tau_dyn.exchange import build_sdf
+
+    hand = write.rod("hand_link", 1, 0.2) + write.joint(
+        "wrist", "revolute", "lower_link", "hand_link", "0 1 0", "0.3 0 0"
+    )
+    text = write.two_link().replace("</robot>", f"{hand}</robot>")
+    wrist = '<joint name="wrist" type="revolute">'
+    robot = load_robot_from_urdf(text.replace(wrist, wrist + rule), "arm", actuated=["shoulder"], tool="hand_link")
+    model = Model.of(robot)
+    q, v, a = (np.array([[x]]) for x in (0.4, 0.7, -0.9))
+    want = model.mechanism.inverse_dynamics(q, v, a)[0, 0]
+    found = mujoco.MjModel.from_xml_string(build_mjcf(model).text)
+    data = mujoco.MjData(found)
+    assert [found.joint(k).name for k in range(found.njnt)] == ["shoulder"]
+    data.qpos[:], data.qvel[:], data.qacc[:] = 0.4, 0.7, -0.9
+    mujoco.mj_inverse(found, data)
+    assert_allclose(data.qfrc_inverse[0], want, rtol=1e-9)
+    kinds = {e.get("name"): e.get("type") for e in fromstring(build_sdf(model).text).iter("joint")}
+    assert kinds == {"shoulder": "revolute", "elbow": "fixed", "wrist": "fixed"}
+    pose = fromstring(build_sdf(model).text).find("model/link[@name='hand_link']/pose")
+    assert_allclose(float(pose.text.split()[4]), 0.2 if rule else 0.0, atol=1e-12)

@@ -23,6 +23,7 @@ from tau_dyn.modes.order import OrderTrial
 from tau_dyn.modes.record import Record, prepare_records, split_pulses
 from tau_dyn.modes.refinement import refine
 from tau_dyn.modes.sensors import STANDARD_GRAVITY, find_sensor_kind
+from tau_dyn.render import present
 
 RATE = 1000.0
 M, K = np.diag([6.0, 3.0]), np.array([[9e5, -3e5], [-3e5, 4e5]])
@@ -74,6 +75,32 @@ def test_accelerations_in_g_give_masses_in_kilograms(found):
     np.testing.assert_allclose(m.M, M, atol=4 * m.stderr.M.max())
     np.testing.assert_allclose(np.diag(m.M), np.diag(M), rtol=0.01)
     assert m.to_dict()["sensor_unit"] == STANDARD_GRAVITY
+
+
+def test_a_sensor_that_drifts_adds_no_modes():
+    """A charge amplifier's offset and drift are no motion: the modes are those without them, and the sensor is named."""
+    log = blows(1)
+    drift = 0.3 + 0.02 * log.t
+    drifting = Log(log.t, {**log.channels, "acc1_g": log.channels["acc1_g"] + drift}, name="hammer")
+    records = [prepare_records([x], INPUTS, OUTPUTS) for x in (log, drifting)]
+    assert ["acc1_g drifts" in w for r in records for w in r.warnings if "drifts" in w] == [True]
+    clean, mended = (np.concatenate([r.y for r in x.whole]) for x in records)
+    noise = 1e-3 * np.abs(log.channels["acc1_g"]).max()
+    assert np.sqrt(np.mean((clean - mended)[:, 0] ** 2)) < 0.5 * noise < 0.1 * np.ptp(drift) / 8
+    assert np.array_equal(clean[:, 1], mended[:, 1])
+
+
+def test_an_accelerometer_that_holds_only_noise_is_named():
+    """A cable that is off leaves noise, which no force explains; the other sensor's modes and verdict stay."""
+    log = blows(1)
+    noise = 0.01 * np.random.default_rng(2).standard_normal(len(log.t))
+    dead = Log(log.t, {**log.channels, "acc2_g": noise}, name="hammer")
+    found = find_modes(dead, INPUTS, OUTPUTS, order=4, delay=0)
+    assert found.silent_outputs == ("acc2_g",)
+    assert [w.code for w in found.warnings if "acc2_g" in w] == ["faulty_channel"]
+    verdict = present(found).verdict
+    assert verdict is not None and "Disturbances" not in verdict.sentence
+    assert find_modes(log, INPUTS, OUTPUTS, order=4, delay=0).silent_outputs == ()
 
 
 def fit_masses(seed: int, noise: float) -> tuple[np.ndarray, np.ndarray]:

@@ -161,6 +161,35 @@ def test_swapped_names_are_noticed() -> None:
         assert found.status == "not_identifiable" and "not collocated" in found.why
 
 
+@pytest.mark.parametrize(
+    ("order", "signs", "said"),
+    [
+        ([1, 0, 2], [1, 1, 1], "with a and b exchanged"),
+        ([0, 1, 2], [1, 1, -1], "with the sign of c reversed"),
+        ([2, 1, 0], [-1, 1, 1], "with a and c exchanged and the sign of a reversed"),
+        ([0, 1, 2], [-1, -1, -1], "with the sign of a and b and c reversed"),
+    ],
+)
+def test_exchanged_and_reversed_sensors_are_named(order, signs, said) -> None:
+    """Reciprocity and the phase at driving points leave one order and one set of signs of the sensors."""
+    model = chain(HZ, 3).sampled(DT, [0, 1, 2], [0, 1, 2])
+    turn = np.eye(3)[order] * np.array(signs)[:, None]
+    wired = replace(model, C=turn @ model.C, D=turn @ model.D)
+    for source in (wired, refined(wired, 30, 20000, np.random.default_rng(0))):
+        found = fit_mechanical(source, names=("a", "b", "c"))
+        assert found.status == "not_identifiable" and said in found.why
+
+
+def test_one_sensor_mounted_upside_down_is_named() -> None:
+    """At a driving point every mode moves as the force pushes; of an unknown sensor a sign may be a quantity."""
+    model = chain(HZ, 3).sampled(DT, [0], [0, 1])
+    wired = replace(model, C=-model.C, D=-model.D)
+    found = fit_mechanical(wired, collocated=[(0, 0)], names=("a", "b"))
+    assert found.status == "not_identifiable" and "the sign of a reversed" in found.why
+    assert "reversed" not in fit_mechanical(wired, collocated=[(0, 0)], names=("a", "b"), output="auto").why
+    assert "reversed" not in fit_mechanical(model, collocated=[(0, 0)], names=("a", "b")).why
+
+
 def test_forces_in_different_units_are_noticed() -> None:
     """One force in kilonewtons among newtons breaks reciprocity."""
     model = chain(HZ, 3).sampled(DT, range(3), range(3))

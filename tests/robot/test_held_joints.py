@@ -68,17 +68,3 @@ def test_a_joint_that_does_not_exist_or_has_several_freedoms_is_refused(write):
     base = write.rod("chassis_link", 20, 0.4) + write.joint("ground", "planar", "base_link", "chassis_link")
     with pytest.raises(InputError, match="hold it at 0"):
         hold_joints(write.text("mobile", base), {"ground": 0.3}, "mobile")
-
-
-@pytest.mark.parametrize(
-    "inner", ["<parent_link>{}</parent_link><child_link>{}</child_link>", "<parent>{}</parent><child>{}</child>"]
-)
-def test_a_loop_that_gazebo_closes_is_refused(write, inner):
-    """A plugin or a joint of a <gazebo> element that connects two links is no part of the tree: its name is in the message."""
-    tag = "joint" if "<parent>" in inner else "plugin"
-    gazebo = f'<gazebo><{tag} name="closing">{inner.format("upper_link", "lower_link")}</{tag}></gazebo>'
-    urdf = write.two_link().replace("</robot>", f"{gazebo}</robot>")
-    with pytest.raises(InputError, match="closing.*upper_link and lower_link"):
-        load_robot_from_urdf(urdf, "arm")
-    harmless = write.two_link().replace("</robot>", '<gazebo><plugin name="control"/></gazebo></robot>')
-    assert load_robot_from_urdf(harmless, "arm").actuated == ("shoulder", "elbow")

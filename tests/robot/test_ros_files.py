@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -117,6 +118,19 @@ def test_a_mimicked_joint_adds_its_force_by_virtual_work(write):
     model, data = free.model, free.model.createData()
     pin.framesForwardKinematics(model, data, both[0][0])
     assert_allclose(where[0], data.oMf[model.getFrameId(robot.tool)].translation, atol=1e-12)
+
+
+def test_a_follower_limits_its_leader(write):
+    """`low <= k q + c <= high` and `|k v| <= speed` hold for the follower, so they bound position and speed of the leader."""
+    limit = '<limit lower="-1" upper="1" effort="50" velocity="0.6"/>'
+    text = re.sub(r'(<joint name="elbow".*?)<limit[^>]*/>', rf"\1{limit}", follow(write))
+    robot = load_robot_from_urdf(text, "coupled")
+    free = load_robot_from_urdf(follow(write), "free")
+    assert_allclose([robot.lower[0], robot.upper[0]], [max((1 - 0.2) / -0.5, free.lower[0]), min(2.4, free.upper[0])])
+    assert robot.lower[0] == -1.6
+    assert_allclose(robot.velocity_limit, [min(1.2, free.velocity_limit[0])])
+    far = load_robot_from_urdf(text.replace('offset="0.2"', 'offset="90"'), "far")
+    assert any("no position of shoulder brings elbow" in w for w in far.warnings)
 
 
 def test_a_follower_moves_with_what_its_drive_travels(write):

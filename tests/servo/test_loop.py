@@ -68,6 +68,19 @@ def test_a_gain_that_is_not_known_is_said():
     assert any("j1_link.mass" in w for w in fixed.warnings)
 
 
+def test_a_given_gain_that_scales_every_body_is_doubted():
+    """A law of twice the torque asks for twice the masses of the file; the right law asks for those of the file."""
+    true = build_law(ARM, load_friction=0.0, stiction=0.0)
+    log = record(ARM, TRUTH, true, 1, 10.0)
+    law = {"position_gain": 2.65, "back_emf": 0.17, "command_delay": 0.012, "load_friction": 0.0, "stiction": 0.0}
+    for torque, doubted in ((5.8, True), (2.9, False)):
+        found = identify_loop(ARM, log, law=ServoLaw.of(ARM.actuated, **law, force_per_unit=torque))
+        said = [w for w in found.warnings if getattr(w, "code", "") == "gain_unknown"]
+        assert bool(said) == doubted
+        if doubted:
+            assert 1.8 < float(said[0].split("come out ")[1].split()[0]) < 2.2
+
+
 def test_a_model_file_holds_its_law(found, tmp_path: Path):
     """What is saved can be read again, with the law that it was identified through."""
     from tau_dyn import Model

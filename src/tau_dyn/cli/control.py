@@ -133,7 +133,7 @@ def learn(
             told.append(_read_command(logs[-1], bool(history), correction, motion, joints, dt))
         names, wanted, stderr, tool, shown = joints, motion.q, None, None, logs
         if robot is None:
-            seen = [_read_positions(log, joints, motion.n_samples) for log in logs]
+            seen = [_read_positions(log, motion) for log in logs]
         else:
             shown = [_read_trial(path, None, motion, dt) for path in observed] or logs
             if len(shown) != len(logs):
@@ -198,15 +198,25 @@ def _read_trial(path: str, columns: Path | None, motion: Trajectory, dt: float) 
     return log
 
 
-def _read_positions(log: Log, joints: Sequence[str], n: int) -> np.ndarray:
+MIN_TRIAL_CORRELATION = 0.5
+"""Correlation of a drive with its motion from which their ratio is a unit: slow drives lag short motions."""
+
+
+def _read_positions(log: Log, motion: Trajectory) -> np.ndarray:
     """Return the drives' positions (n, m) of a trial.
 
     Raises:
-        InputError: The log is shorter than the motion.
+        InputError: The log is shorter than the motion, or its positions have another unit or sign.
     """
-    found = log.joint("q", joints)
+    from tau_dyn.log import describe_other_scale
+
+    found, n = log.joint("q", motion.joints), motion.n_samples
     if len(found) < n:
         raise InputError("mismatch", f"{log.name}: it has {len(found)} samples, the motion has {n}")
+    for joint, q, wanted in zip(motion.joints, found[:n].T, motion.q.T, strict=True):
+        said = describe_other_scale(f"q_{joint}", q, f"q_ref_{joint}", wanted, correlated=MIN_TRIAL_CORRELATION)
+        if said:
+            raise InputError("wrong_unit", f"{log.name}: {said}")
     return found[:n]
 
 
@@ -281,7 +291,7 @@ def observe(
         raise InputError("bad_option", "the tool's position from the actuators comes from either ROBOT or --kinematic")
     with show_progress(output.quiet) as step:
         step("loading")
-        from tau_dyn.control.observers import observe_tool
+        from tau_dyn.control.observers import observe_tool, refuse_odd_accelerations
         from tau_dyn.log import read_log
         from tau_dyn.mechanism import forward_kinematics
         from tau_dyn.modes import build_records, load_state_space
@@ -301,6 +311,7 @@ def observe(
             raise InputError("time_stamps", f"{log}: it has gaps; an observer needs one stretch without any")
         if model is not None and abs(load_state_space(model).model.dt / dt - 1) > 1e-3:
             raise InputError("mismatch", f"{model}: it is made for another sampling step than {log}, {1e3 * dt:g} ms")
+        refuse_odd_accelerations(acceleration, felt, names, computed, dt)
         step("estimating")
         given = None if model is None else load_state_space(model).model
         found = observe_tool(names, np.arange(len(felt)) * dt, computed, felt, model=given, cutoff_hz=cutoff or ())

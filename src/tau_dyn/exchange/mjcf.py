@@ -115,10 +115,13 @@ def _bodies(world: Element, model: Model, joints: list[Joint], places: EffectPla
     inertias = {link.joint_id: link for link in robot.links}
     names = {f.parentJoint: f.name for f in reversed(robot.model.frames.tolist()) if f.type == pin.FrameType.BODY}
     for joint in joints:
-        rotation = pin.Quaternion(joint.rotation)
-        pose = {"pos": _numbers(joint.offset), "quat": _numbers([rotation.w, rotation.x, rotation.y, rotation.z])}
+        held = robot.held_positions.get(robot.model.names[joint.index])
+        turn, place = joint.place(held or 0.0)
+        rotation = pin.Quaternion(turn)
+        pose = {"pos": _numbers(place), "quat": _numbers([rotation.w, rotation.x, rotation.y, rotation.z])}
         body = SubElement(found[joint.parent], "body", {"name": names[joint.index], **pose})
-        SubElement(body, "joint", _joint(model, joint, places))
+        if held is None:
+            SubElement(body, "joint", _joint(model, joint, places))
         if joint.index in inertias:
             carried = build_body(inertias[joint.index], model)
             said, sentence = _inertia(carried.inertia, inertias[joint.index].link)
@@ -269,7 +272,8 @@ def _tie(root: Element, model: Model, bodies: list[Element]) -> None:
 def _couple(root: Element, model: Model) -> None:
     """Add the joints that follow others."""
     equality = root.find("equality")
-    for joint, mimic in model.robot.mimics.items():
+    moving = {j: mimic for j, mimic in model.robot.mimics.items() if j not in model.robot.held_positions}
+    for joint, mimic in moving.items():
         equality = SubElement(root, "equality") if equality is None else equality
         law = {"polycoef": _numbers([mimic.offset, mimic.multiplier, 0, 0, 0])}
         SubElement(equality, "joint", {"joint1": joint, "joint2": mimic.joint, **law})

@@ -51,7 +51,8 @@ def build_sdf(model: Model) -> Exported:
             "unsupported", f"{robot.source}: SDF is written for robots of joints with one degree of freedom each"
         )
     carried = build_carried_model(model, drives=False)
-    home = _find_home(model, joints) if robot.loops else [0.0] * len(joints)
+    held = robot.held_positions
+    home = _find_home(model, joints) if robot.loops else [held.get(robot.model.names[j.index], 0.0) for j in joints]
     left_out = [*list_omissions(model, drives=False), *_list_losses(model, carried)]
     ElementTree.register_namespace("drake", _DRAKE)
     root = Element("sdf", version="1.11")
@@ -114,12 +115,10 @@ def _name_links(model: Model) -> dict[int, str]:
 
 def _add_link(top: Element, model: Model, joint: Joint, q: float, names: dict[int, str]) -> None:
     """Add a joint's link at its pose for the joint position `q`."""
-    turned = np.eye(3) if joint.slides else pin.exp3(np.asarray(joint.axis, float) * q)
-    moved = np.asarray(joint.axis, float) * q if joint.slides else np.zeros(3)
+    rotation, place = joint.place(q)
     link = SubElement(top, "link", name=names[joint.index])
     parent = {"relative_to": names[joint.parent]} if joint.parent else {}
-    rotation = np.asarray(joint.rotation, float)
-    _add_pose(link, joint.offset + rotation @ moved, rotation @ turned, **parent)
+    _add_pose(link, place, rotation, **parent)
     inertial = SubElement(link, "inertial")
     carrier = next((x for x in model.robot.links if x.joint_id == joint.index), None)
     if carrier is None:
@@ -143,9 +142,11 @@ def _add_joint(top: Element, model: Model, joint: Joint, q: float, names: dict[i
     low, high = robot.model.lowerPositionLimit[item.idx_q], robot.model.upperPositionLimit[item.idx_q]
     limited = item.nq == 1 and low < high and np.isfinite(low + high) and high - low < 1e10
     kind = "prismatic" if joint.slides else "revolute" if limited else "continuous"
-    element = SubElement(top, "joint", name=name, type=kind)
+    element = SubElement(top, "joint", name=name, type="fixed" if name in robot.held_positions else kind)
     SubElement(element, "parent").text = names[joint.parent]
     SubElement(element, "child").text = names[joint.index]
+    if name in robot.held_positions:
+        return
     axis = SubElement(element, "axis")
     SubElement(axis, "xyz").text = _numbers(joint.axis)
     limit = SubElement(axis, "limit")

@@ -28,7 +28,7 @@ from tau_dyn.exchange.content import (
     split,
 )
 from tau_dyn.model import Model
-from tau_dyn.robot import resolve_mesh
+from tau_dyn.robot import resolve_mesh, write_gazebo_mimics
 
 _DRAKE, _OURS = "http://drake.mit.edu", "urn:tau_dyn"
 _HARDWARE = "mock_components/GenericSystem"  # mock hardware of ros2_control; a real drive has its own plugin
@@ -46,6 +46,7 @@ def build_urdf(model: Model, folder: Path | None = None) -> Exported:
     carried = build_carried_model(model, drives=False)
     left_out = list_omissions(model, drives=False)
     root = fromstring(model.robot.urdf, forbid_dtd=True)
+    write_gazebo_mimics(root)
     links = {e.get("name", ""): e for e in root.findall("link")}
     for link in model.robot.links:
         for name in _fixed_to(root, link.link):
@@ -57,6 +58,7 @@ def build_urdf(model: Model, folder: Path | None = None) -> Exported:
     for joint in model.robot.actuated:
         law = read_joint_law(carried, joint)
         _remove(joints[joint], "dynamics")
+        _remove(joints[joint], "mimic")  # it does not count where the joint has a motor of its own
         SubElement(joints[joint], "dynamics", damping=_text(law.viscous), friction=_text(law.coulomb))
     _write_drives(root, carried)
     _write_ros2_control(root, model)

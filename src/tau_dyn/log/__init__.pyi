@@ -5,7 +5,11 @@ from .channel_health import (
     find_channel_faults as find_channel_faults,
     split_at_faults as split_at_faults,
 )
-from .check import check_log as check_log, list_unit_warnings as list_unit_warnings
+from .check import (
+    check_log as check_log,
+    describe_other_scale as describe_other_scale,
+    list_unit_warnings as list_unit_warnings,
+)
 from .check_motion import find_moving_samples as find_moving_samples
 from .column_map import ColumnMap as ColumnMap, Source as Source
 from .column_names import (
@@ -62,6 +66,7 @@ from .resample import (
     ensure_even as ensure_even,
     examine_clock as examine_clock,
     find_true_runs as find_true_runs,
+    mend_rounded_stamps as mend_rounded_stamps,
     resample_segments as resample_segments,
     split_at_gaps as split_at_gaps,
     split_by_motion as split_by_motion,

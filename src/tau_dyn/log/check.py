@@ -343,3 +343,58 @@ def _find_jumps(log: Log, robot: JointLimits | None) -> list[CheckFinding]:
 def _force_lag(log: Log) -> CheckFinding:
     sentence = f"{log.name}: a lag between force and motion was not tested; it takes the robot file."
     return CheckFinding("ok", "synchronisation", sentence)
+
+
+MIN_CORRELATION = 0.9
+"""Correlation of a signal with one that it follows, or that follows it, from which their ratio is a scale."""
+MAX_RATIO = 5.0
+"""Ratio of standard deviations, or its inverse, beyond which a unit differs; a drooping servo stays above a half."""
+MIN_OFFSET = 0.5
+"""Offset [rad or m] beyond any droop: the zero of an encoder."""
+UNITS = {
+    "degrees": np.pi / 180,
+    "thousandths": 1e-3,
+    "turns": 2 * np.pi,
+    "multiples of g": 9.80665,
+    **{f"steps of {n} a turn": 2 * np.pi / n for n in (1024, 4096, 16384, 65536)},
+}
+MAX_QUARTER_ERROR = 0.2  # of a quarter turn, to which droop may move the zero of an encoder
+UNIT_TOLERANCE = 0.1
+"""Relative difference of a ratio from a unit's that friction and droop may cause."""
+
+
+def describe_other_scale(
+    column: str, x: np.ndarray, trusted: str, y: np.ndarray, *, correlated: float = MIN_CORRELATION, key: str = ""
+) -> str:
+    """Return a sentence if a signal has another unit or sign than one that it follows or that follows it.
+
+    Args:
+        column: Name of the doubted signal.
+        x: Its samples (N,).
+        trusted: Name of the other signal, in SI.
+        y: Its samples (N,).
+        correlated: Least correlation from which the ratio of both counts.
+        key: Name of the doubted signal in a column map; its own by default.
+
+    Returns:
+        The sentence, with a line for the column map; empty where their ratio is plausible, or tells nothing.
+    """
+    sizes = float(np.std(y)), float(np.std(x))
+    if min(sizes) <= 0:
+        return ""
+    correlation = float(np.corrcoef(x, y)[0, 1])
+    ratio, size = float(np.sign(correlation) * sizes[0] / sizes[1]), sizes[0] / sizes[1]
+    if abs(correlation) < correlated or 1 / MAX_RATIO < ratio < MAX_RATIO:
+        return ""
+    usual = 1 / MAX_RATIO < size < MAX_RATIO
+    unit = "" if usual else next((name for name, of in UNITS.items() if abs(size / of - 1) < UNIT_TOLERANCE), "")
+    scale = np.sign(ratio) * (1.0 if usual else UNITS.get(unit, float(f"{size:.2g}")))
+    offset = float(np.mean(y) - scale * np.mean(x))
+    quarters = offset / (np.pi / 2)  # an encoder's zero; droop under gravity moves the mean off it
+    if unit.startswith("steps") and abs(quarters - round(quarters)) < MAX_QUARTER_ERROR:
+        offset = round(quarters) * np.pi / 2
+    shift = f", offset: {offset:.6g}" if abs(offset) > MIN_OFFSET else ""
+    what = [f"runs against {trusted}"] if ratio < 0 else []
+    what += [] if usual else [f"is {1 / size:.3g} times as large as {trusted}" + (f", as if in {unit}" if unit else "")]
+    line = f"{key or column}: {{column: {column}, scale: {scale:.6g}{shift}}}"
+    return f"{column} {' and '.join(what)}; write `{line}` into a column map"

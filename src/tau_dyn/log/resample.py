@@ -140,15 +140,20 @@ def ensure_even(log: Log) -> Log:
 def _resample(log: Log, clock: Clock) -> Log:
     if clock.even and not clock.rounded:
         return log
-    n_steps = log.n_samples - 1 if clock.rounded else round(log.duration / clock.dt)
-    grid = np.linspace(log.t[0], log.t[-1], n_steps + 1)
     if clock.rounded:
-        sentence = (
-            f"{log.name}: its times are rounded; an even clock of {n_steps / log.duration:.6g} Hz was used instead."
-        )
-        return replace(log, t=grid).with_warnings(sentence)
+        return mend_rounded_stamps(log)
+    grid = np.linspace(log.t[0], log.t[-1], round(log.duration / clock.dt) + 1)
     channels = {key: interpolate(log.t, values, grid) for key, values in log.channels.items()}
     return replace(log, t=grid, channels=channels).with_warnings(_uneven_sentence(log, clock))
+
+
+def mend_rounded_stamps(log: Log) -> Log:
+    """Return a log with an even clock of the same samples where its stamps are one written with few digits, with a warning."""
+    if not is_rounded(log.t):
+        return log
+    n_steps = log.n_samples - 1
+    sentence = f"{log.name}: its times are rounded; an even clock of {n_steps / log.duration:.6g} Hz was used instead."
+    return replace(log, t=np.linspace(log.t[0], log.t[-1], n_steps + 1)).with_warnings(sentence)
 
 
 def describe_gaps(log: Log, clock: Clock) -> str:

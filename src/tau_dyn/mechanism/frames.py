@@ -50,6 +50,13 @@ class Joint(NamedTuple):
     slides: bool
     v: int
 
+    def place(self, q: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return rotation (3, 3) and origin (3,) [m] of its frame in the parent's at a position [m or rad]."""
+        axis, rotation = np.asarray(self.axis, float), np.asarray(self.rotation, float)
+        if self.slides:
+            return rotation, self.offset + rotation @ axis * q
+        return rotation @ pin.exp3(axis * q), np.asarray(self.offset, float)
+
 
 class Frames(NamedTuple):
     """Where all joints are, by Pinocchio's index: rotations (3, 3, N), origins (3, N) and axes (3, N)."""

@@ -23,6 +23,7 @@ from tau_dyn.log import (
     resample_segments,
     split_at_faults,
 )
+from tau_dyn.message_codes import CodedWarning
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,8 +312,14 @@ def _is_pulses(record: Record) -> bool:
 
 
 def _pulses(train: list[Record], held: list[Record], warnings: tuple[str, ...]) -> PreparedRecords:
-    pulses = [_settled(p) for r in train for p in cut_pulses(r)]
-    kept = [_settled(p) for r in held for p in (cut_pulses(r) if _is_pulses(r) else [r])]
+    cut = [p for r in train for p in cut_pulses(r)]
+    drifts = _find_drifting(cut)
+    if drifts.any():
+        names = ", ".join(name for name, drifting in zip(train[0].outputs, drifts, strict=True) if drifting)
+        said = f"{names} drifts from rest to rest of each pulse; a straight line between them is subtracted"
+        warnings = (*warnings, CodedWarning("faulty_channel", said))
+    pulses = [_settled(p, drifts) for p in cut]
+    kept = [_settled(p, drifts) for r in held for p in (cut_pulses(r) if _is_pulses(r) else [r])]
     how, everything = "the logs given", pulses
     if not kept:
         pulses, kept = split_pulses(everything, 1 - TRAIN_SHARE)
@@ -477,7 +484,47 @@ def _centred(record: Record, origin: Record) -> Record:
     return replace(record, u=record.u - origin.u, y=record.y - origin.y, reference=reference)
 
 
-def _settled(record: Record) -> Record:
-    """Return a pulse and its decay as deviations from rest."""
-    tail = record.y[-max(10, int(STEADY_STATE_SHARE * record.n_samples)) :]
-    return replace(record, u=record.u - np.median(record.u, axis=0), y=record.y - tail.mean(axis=0))
+MIN_DRIFT_STDERR = 4.0
+"""Difference of the levels of rest before and after a pulse, in standard errors, from which a sensor drifts."""
+MIN_DRIFTING_PULSES = 3
+"""Fewest pulses whose levels differ: after a single one a slow motion may not have decayed."""
+MIN_REST_SAMPLES = 10  # samples of rest before a pulse; fewer give no level
+
+
+def _find_drifting(pulses: Sequence[Record]) -> np.ndarray:
+    """Return the outputs (p,) bool that drift during at least half of the pulses.
+
+    A structure returns to the rest that it left. The standard error of a level is the scatter of means as long as the rest
+    before the pulse, within the rest after it, so a structure that still rings is no drift.
+    """
+    found = [_compare_rests(p) for p in pulses]
+    odd = np.array([np.abs(change) > MIN_DRIFT_STDERR * stderr for change, stderr in found])
+    return (odd.sum(axis=0) >= MIN_DRIFTING_PULSES) & (odd.mean(axis=0) >= 0.5)
+
+
+def _compare_rests(pulse: Record) -> tuple[np.ndarray, np.ndarray]:
+    """Return the change of the outputs' level (p,) from before a pulse to the end of its decay, and its standard error."""
+    before, after = _list_rests(pulse)
+    blocks = [
+        after[k : k + len(before)].mean(axis=0) for k in range(0, len(after) - len(before) + 1, max(1, len(before)))
+    ]
+    if len(before) < MIN_REST_SAMPLES or len(blocks) < 3:
+        return np.zeros(after.shape[1]), np.ones(after.shape[1])
+    return after.mean(axis=0) - before.mean(axis=0), np.std(blocks, axis=0, ddof=1) + 1e-300
+
+
+def _list_rests(pulse: Record) -> tuple[np.ndarray, np.ndarray]:
+    """Return the outputs before a pulse, without the last third, in which its force may rise, and at the end of its decay."""
+    first = int(np.argmax(_away(pulse)))
+    return pulse.y[: 2 * first // 3], pulse.y[-max(10, int(STEADY_STATE_SHARE * pulse.n_samples)) :]
+
+
+def _settled(record: Record, drifting: np.ndarray) -> Record:
+    """Return a pulse and its decay as deviations from rest, or from a line between the rests of outputs that drift (p,)."""
+    before, after = _list_rests(record)
+    level = np.broadcast_to(after.mean(axis=0), record.y.shape)
+    if drifting.any() and len(before) >= MIN_REST_SAMPLES:
+        start, end = 0.5 * len(before), record.n_samples - 0.5 * len(after)
+        share = (np.arange(record.n_samples)[:, None] - end) / (end - start)
+        level = level + np.where(drifting, share * (after.mean(axis=0) - before.mean(axis=0)), 0.0)
+    return replace(record, u=record.u - np.median(record.u, axis=0), y=record.y - level)

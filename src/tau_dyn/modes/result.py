@@ -22,6 +22,8 @@ from tau_dyn.version import __version__
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+MAX_SILENT_FIT_PERCENT = 1.0
+"""Fit, 2 % of the variance, that a model reaches by chance on noise in some hundred samples."""
 NOT_IDENTIFIED: dict[str, Any] = {"status": "not_identifiable", **dict.fromkeys(("M", "D", "K", "stderr", "valid_hz"))}
 
 
@@ -139,6 +141,13 @@ class Modes(Shown):
     def judged(self) -> FitQuality:
         """The fit to be reported: of held-out data if there are any, else of training data."""
         return self.holdout or self.train
+
+    @property
+    def silent_outputs(self) -> tuple[str, ...]:
+        """Outputs of which the inputs explain nothing, in training or held out, while others respond: dead sensors, cables."""
+        best = np.maximum(self.judged.percent, self.train.percent)
+        silent = [name for name, fit in zip(self.outputs, best, strict=True) if fit < MAX_SILENT_FIT_PERCENT]
+        return tuple(silent) if len(silent) < len(self.outputs) else ()
 
     def plot(self) -> Figure:
         """Return a Matplotlib figure of the measured and the model's frequency responses with the modes.

@@ -92,8 +92,8 @@ def validate_model(
     narrow = min((2 * m.damping_ratio * m.frequency_hz for m in modes), default=0.0)
     empirical = estimate_empirical_response(data.train, impulses=data.kind == "impulse", resolve=narrow)
     complete = bool(free) and all(t.passed for t in free)
-    mechanical, why_not = _mechanical(final, sensor, collocated, complete)
     first = data.train[0]
+    mechanical, why_not = _mechanical(final, sensor, collocated, complete, first.outputs)
     found = Modes(
         inputs=first.inputs,
         outputs=first.outputs,
@@ -185,10 +185,14 @@ def _test_nonlinearity(model: StateSpace, records: Sequence[Record]) -> Nonlinea
 
 
 def _mechanical(
-    refined: RefinedModel, sensor: SensorKind, collocated: Sequence[tuple[int, int]] | None, complete: bool
+    refined: RefinedModel,
+    sensor: SensorKind,
+    collocated: Sequence[tuple[int, int]] | None,
+    complete: bool,
+    outputs: Sequence[str],
 ) -> tuple[Mechanical | None, str]:
     try:
-        found = fit_mechanical(refined, collocated=collocated, output=sensor.kind, complete=complete)
+        found = fit_mechanical(refined, collocated=collocated, output=sensor.kind, complete=complete, names=outputs)
         return found.in_units_of(sensor.unit), ""
     except (TauDynError, np.linalg.LinAlgError) as fault:
         return None, str(fault)
@@ -258,7 +262,14 @@ def list_doubts(found: Modes, clipped: Sequence[str] = ()) -> Iterator[str]:
         yield f"the longest record holds fewer than {MIN_RECORD_PERIODS} periods of {_list_hz(found.modes[:1])}"
     if not found.modes:
         yield "the model has no resonance: all its poles are real"
-    poor = [n for n, v in zip(found.outputs, found.judged.percent, strict=True) if v < POOR_FIT]
+    if silent := found.silent_outputs:
+        said = f"{', '.join(found.inputs)} explain less than 2 % of {', '.join(silent)}, while other outputs respond"
+        yield CodedWarning("faulty_channel", f"{said}: look at sensor and cable, or leave it out of --outputs")
+    poor = [
+        n
+        for n, v in zip(found.outputs, found.judged.percent, strict=True)
+        if v < POOR_FIT and n not in found.silent_outputs
+    ]
     if poor:
         yield f"the model follows {', '.join(poor)} to less than {POOR_FIT:.0f} %; noise, or a motion that is not linear"
     if found.holdout is not None and found.train.mean - found.holdout.mean > MAX_FIT_DROP_PERCENT:

@@ -29,6 +29,7 @@ from .floating_base import (
     POINT as POINT,
     ContactFrame as ContactFrame,
 )
+from .gazebo import write_gazebo_mimics as write_gazebo_mimics
 from .load import as_robot as as_robot, load_robot as load_robot, load_robot_from_urdf as load_robot_from_urdf
 from .packages import find_package as find_package, list_stock_robots as list_stock_robots, resolve_mesh as resolve_mesh
 from .robot import (

@@ -9,7 +9,6 @@ that are assumed rather than measured.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from xml.etree.ElementTree import Element, ParseError
@@ -19,6 +18,7 @@ from defusedxml.ElementTree import fromstring
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.robot.floating_base import FLAT, POINT, ContactFrame
+from tau_dyn.robot.gazebo import refuse_gazebo_loops, write_gazebo_mimics
 from tau_dyn.robot.numbers import (
     MAX_NUMBER,
     build_rotation,
@@ -159,8 +159,9 @@ def read_annotations(urdf: str, where: str) -> Annotations:
     check_names(root.iter(), where)
     check_numbers(root, where)
     check_parents(root, where)
+    write_gazebo_mimics(root)
     reader = _Reader(root, where)
-    _refuse_gazebo_loops(root, reader.links, where)
+    refuse_gazebo_loops(root, where)
     mechanism = reader.ours("mechanism")
     return Annotations(
         joints=reader.joints,
@@ -187,32 +188,6 @@ def read_annotations(urdf: str, where: str) -> Annotations:
     )
 
 
-_LINK_PAIRS = (("parent_link", "child_link"), ("parentLink", "childLink"), ("parent", "child"))
-"""Names of the two links that a Gazebo joint or a plugin connects."""
-
-
-def _refuse_gazebo_loops(root: Element, links: Sequence[str], where: str) -> None:
-    """Reject loops that Gazebo closes outside of the tree: without them, the passive joints would count as fixed.
-
-    Raises:
-        InputError: A joint or a plugin of a `<gazebo>` element connects two links of the tree.
-    """
-    for element in root.findall("gazebo"):
-        for kind in (*element.findall("plugin"), *element.findall("joint")):
-            for names in _LINK_PAIRS:
-                pair = [(kind.findtext(name) or "").strip().split("::")[-1] for name in names]
-                if all(link in links for link in pair):
-                    name = kind.get("name", "") or kind.get("filename", "")
-                    a, b = pair
-                    raise InputError(
-                        "robot_structure",
-                        f"{where}: the <gazebo> {kind.tag} '{name}' closes a kinematic loop between {a} and {b}, which "
-                        "the tree does not have; write the loop as <drake:ball_constraint> with "
-                        f"<drake:ball_constraint_body_A name='{a}'/>, <drake:ball_constraint_body_B name='{b}'/> and "
-                        "their points, or as <constraint type='ball'>, and remove this element",
-                    )
-
-
 class _Reader:
     """Finds elements and turns their attributes into names that exist and numbers that are finite."""
 
@@ -233,12 +208,15 @@ class _Reader:
         for joint in self.root.findall("joint"):
             element = joint.find("mimic")
             if element is not None and joint.get("type") != "fixed":
-                share, offset = (
-                    self.number(element, key) if element.get(key) is not None else default
-                    for key, default in (("multiplier", 1.0), ("offset", 0.0))
-                )
-                found[joint.get("name", "")] = Mimic(self.joint_of(element, "joint"), share, offset)
-        return found | {name: mimic for name, mimic in self._controlled_mimics().items() if name not in found}
+                found[joint.get("name", "")] = self._read_mimic(element)
+        return self._controlled_mimics() | found
+
+    def _read_mimic(self, element: Element) -> Mimic:
+        share, offset = (
+            self.number(element, key) if element.get(key) is not None else default
+            for key, default in (("multiplier", 1.0), ("offset", 0.0))
+        )
+        return Mimic(self.joint_of(element, "joint"), share, offset)
 
     def _controlled_mimics(self) -> dict[str, Mimic]:
         """Return the joints that `<ros2_control>` lets follow others."""

@@ -14,6 +14,7 @@ import pinocchio as pin
 from defusedxml.ElementTree import fromstring
 
 from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.robot.gazebo import write_gazebo_mimics
 from tau_dyn.robot.numbers import MAX_NUMBER, build_rotation, compute_rpy, parse_numbers
 
 _NAMESPACES = {"drake": "http://drake.mit.edu", "tau_dyn": "urn:tau_dyn"}
@@ -37,6 +38,7 @@ def hold_joints(urdf: str, held: Mapping[str, float], where: str) -> str:
     for prefix, uri in _NAMESPACES.items():
         register_namespace(prefix, uri)
     root = fromstring(urdf, forbid_dtd=True)
+    write_gazebo_mimics(root)
     joints = {e.get("name", ""): e for e in root.findall("joint") if e.get("type") != "fixed"}
     positions = dict(held)
     for name, value in held.items():

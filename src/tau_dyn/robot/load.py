@@ -38,6 +38,7 @@ from tau_dyn.robot.independent_drives import find_independent_drives
 from tau_dyn.robot.loop_file import add_loops, find_loop_file
 from tau_dyn.robot.numbers import MAX_NUMBER, check_inertia
 from tau_dyn.robot.packages import StockRobot, find_described_robot
+from tau_dyn.robot.plausible_units import list_unit_warnings
 from tau_dyn.robot.robot import NO_DRIVE, NOT_GIVEN, LinkInertia, Loop, Robot, get_inertial_parameters
 from tau_dyn.robot.semantics import find_srdf, read_passive_joints
 
@@ -187,11 +188,12 @@ def load_robot_from_urdf(
     coordinates = BASE_COORDINATES if notes.floating else ()
     if notes.floating and notes.loops:
         raise InputError("unsupported", f"{source}: loops in the legs of a floating base are not read yet")
-    warnings += notes.warnings
+    warnings += [*notes.warnings, *list_unit_warnings(model, source)]
     followers = [n for n in notes.mimics if n in names]
     if followers:
         warnings.append(f"{source}: {', '.join(followers)} are named as actuated, so their <mimic> does not count")
     mimics = _resolve_mimics(model, notes, names, source)
+    warnings += _narrow_limits(model, mimics, source)
     passive = [n for n in model.names[1:] if n not in names and n not in mimics]
     if not notes.loops and (several := [n for n in passive if model.joints[model.getJointId(n)].nv != 1]):
         found = load_robot_from_urdf(
@@ -428,6 +430,40 @@ def _resolve_mimics(model: pin.Model, notes: Annotations, actuated: tuple[str, .
             )
         found[name] = Mimic(leader, share, offset)
     return found
+
+
+def _narrow_limits(model: pin.Model, mimics: Mapping[str, Mimic], where: str) -> list[str]:
+    """Narrow the leaders' limits of position and speed to those at which their followers are within theirs.
+
+    Returns:
+        A sentence for each follower that no position of its leader brings within its limits.
+    """
+    warnings = []
+    for name, mimic in mimics.items():
+        own, leader = (model.joints[model.getJointId(joint)] for joint in (name, mimic.joint))
+        if not mimic.multiplier or own.nq != 1 or leader.nq != 1:
+            continue
+        reach = np.array([x[own.idx_q] for x in (model.lowerPositionLimit, model.upperPositionLimit)]) - mimic.offset
+        low, high = sorted(reach / mimic.multiplier)
+        low = max(low, model.lowerPositionLimit[leader.idx_q])
+        high = min(high, model.upperPositionLimit[leader.idx_q])
+        if low >= high:
+            warnings.append(f"{where}: no position of {mimic.joint} brings {name}, which follows it, within its limits")
+            continue
+        _set_entry(model, "lowerPositionLimit", leader.idx_q, low)
+        _set_entry(model, "upperPositionLimit", leader.idx_q, high)
+        fastest, speed = model.upperVelocityLimit[own.idx_v], model.upperVelocityLimit[leader.idx_v]
+        if fastest > 0:
+            fastest = fastest / abs(mimic.multiplier)
+            _set_entry(model, "upperVelocityLimit", leader.idx_v, min(fastest, speed) if speed > 0 else fastest)
+    return warnings
+
+
+def _set_entry(model: pin.Model, limit: str, k: int, value: float) -> None:
+    """Change one entry of a limit, which Pinocchio takes as a whole."""
+    changed = np.array(getattr(model, limit))
+    changed[k] = value
+    setattr(model, limit, changed)
 
 
 def _sum_friction(

@@ -212,6 +212,15 @@ class Robot(Shown):
         return np.setdiff1d(np.arange(self.model.nv), [*self.active_v, *followers])
 
     @property
+    def held_positions(self) -> dict[str, float]:
+        """Positions [m or rad] at which joints of a tree are held that no motor moves, and those that follow them."""
+        if self.loops:
+            return {}
+        passive = [n for n in self.model.names[1:] if n not in self.actuated and n not in self.mimics]
+        followers = {j: mimic.offset for j, mimic in self.mimics.items() if mimic.joint not in self.actuated}
+        return dict.fromkeys(passive, 0.0) | followers
+
+    @property
     def coupling(self) -> tuple[np.ndarray, np.ndarray]:
         """Shares (nv, na) and offsets (nv,) by which actuated positions place actuated joints and those that follow them."""
         share, offset = np.zeros((self.model.nv, self.na)), np.zeros(self.model.nv)

@@ -25,6 +25,11 @@ MIN_DROOP_RAD = 0.03
 """Least lost motion at rest that is explained as droop [rad]: above the play of hobby servos."""
 REST_S = 0.15
 """Shortest rest [s]: a chirp reverses faster."""
+MIN_BODY_FACTOR = 1.5
+"""Factor of all bodies, or its inverse, from which the given gain is doubted: twice the quarter to which a file's are trusted."""
+MAX_LEFT_BY_FACTOR = 0.1
+"""Share of the loads' squares that one factor may leave; more is another body, not another scale."""
+LOAD_SAMPLES_S = 0.05  # time between the samples on which loads are compared
 _LOADS = ("load", "current", "effort")
 MAX_UNSIGNED = 32767  # beyond it a register holds negative numbers as two's complements
 _MIN_LIKENESS = 0.4  # correlation with the position error from which a channel is its magnitude
@@ -41,6 +46,7 @@ def list_loop_warnings(
     """Return all warnings."""
     return [
         *_describe_scale(law, data),
+        *_describe_scaled_bodies(law, data, fit),
         *_describe_accelerations(law.joints, train, held),
         *_describe_droop(law.joints, train),
         *_describe_unsigned_loads(law.joints, logs),
@@ -74,6 +80,34 @@ def _describe_scale(law: ServoLaw, data: LoopData) -> list[str]:
             "gain_unknown",
             "the servo's gain is not known, so masses and friction are known up to its scale, which the robot file's masses set "
             "here; a weighed mass (--fix LINK.mass=VALUE) or a known gain (--controller LAW.yaml) fixes it",
+        )
+    ]
+
+
+def _describe_scaled_bodies(law: ServoLaw, data: LoopData, fit: LoopFit) -> list[str]:
+    """Return a warning if all bodies' loads are those of the robot file times one factor: a given gain scales them likewise."""
+    if not law.given or {"position_gain", "force_per_unit"} & law.estimated:
+        return []
+    space, u = data.space, data.unknowns
+    theta = space.at(fit.x[u.n - space.n_unknowns :])
+    loads = []
+    for r in data.records:
+        some = np.flatnonzero(r.used & (r.enabled > 0))[:: max(1, int(LOAD_SAMPLES_S / r.dt))]
+        if len(some):
+            loads.append(
+                space.model.mechanism.regressor(*(x[some] for x in r.motion)) @ np.stack([space.nominal, theta], axis=1)
+            )
+    nominal, found = np.concatenate([rows.reshape(-1, 2) for rows in loads]).T
+    factor = float(nominal @ found / max(nominal @ nominal, 1e-300))
+    left = float(np.sum((found - factor * nominal) ** 2) / max(found @ found, 1e-300))
+    if left > MAX_LEFT_BY_FACTOR or factor <= 0 or abs(np.log(factor)) < np.log(MIN_BODY_FACTOR):
+        return []
+    return [
+        CodedWarning(
+            "gain_unknown",
+            f"all bodies come out {factor:.2g} times those of the robot file: where the file's masses are right, the law's gain "
+            f"(position_gain times force_per_unit) is {factor:.2g} times the servo's, and friction is off alike; weigh a body "
+            "(--fix LINK.mass=VALUE) and estimate the gain",
         )
     ]
 

@@ -23,13 +23,14 @@ import numpy as np
 from tau_dyn.effects import build_friction_model
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify import Choices, drop_repeated_logs, get_log_list, read_bound, read_fixed, refuse_slow_clocks
-from tau_dyn.log import Log, Recording, list_unit_warnings, lowpass, split_at_gaps
+from tau_dyn.log import Log, Recording, list_unit_warnings, lowpass, mend_rounded_stamps, split_at_gaps
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.model import Model
 from tau_dyn.robot import NOT_GIVEN, Robot
+from tau_dyn.servo.command_wiring import refuse_odd_commands
 from tau_dyn.servo.contact import Contact, find_contacts
 from tau_dyn.servo.data import LoopData
-from tau_dyn.servo.records import MOTION_HZ, InertialSpace, LoopRecord, build_records, compute_load_waves
+from tau_dyn.servo.records import MOTION_HZ, WARM_UP_S, InertialSpace, LoopRecord, build_records, compute_load_waves
 from tau_dyn.servo.unknowns import FRICTION, JOINT_UNITS, LoopUnknowns, build_unknowns, compute_stiffness
 from tau_dyn.servo.waves import MAX_STEP_S, SPRING_STEP_S
 from tau_dyn.simulate import COMMANDS, SERVO_ENTRIES, ServoLaw
@@ -274,7 +275,8 @@ def read_loop_logs(robot: Robot, logs: Log | Recording | Iterable[Log | Recordin
     train, held, doubled = drop_repeated_logs(get_log_list(logs), get_log_list(options.get("holdout", ())))
     train, held = _require_in_memory(train), _require_in_memory(held)
     refuse_slow_clocks([*train, *held])
-    pieces, apart = ([piece for log in logs for piece in split_at_gaps(log)] for logs in (train, held))
+    pieces, apart = ([piece for log in logs for piece in _split(log)] for logs in (train, held))
+    _refuse_pieces(train, pieces)
     said = list(dict.fromkeys(w for x in (*pieces, *apart) for w in (*x.warnings, *list_unit_warnings(x, robot))))
     model, progress = options.get("model", "asymmetric"), options.get("progress", lambda step: None)
     friction = model if isinstance(model, str) else ""
@@ -282,9 +284,9 @@ def read_loop_logs(robot: Robot, logs: Log | Recording | Iterable[Log | Recordin
     own, theirs = _split_choices(options.get("choices") or Choices(), robot)
     started = theirs.apply(_build_start(robot, friction))
     progress("loads")
-    contacts, records = find_contacts(
-        started, build_records(started, law, [*pieces, *apart], options.get("exclude", ()))
-    )
+    read = build_records(started, law, [*pieces, *apart], options.get("exclude", ()))
+    refuse_odd_commands(read, robot.actuated)
+    contacts, records = find_contacts(started, read)
     kept = records[: len(pieces)]
     _refuse_stillness(kept)
     warnings = [*doubled, *said, *started.robot.warnings, *(CodedWarning("contact", c.describe()) for c in contacts)]
@@ -401,6 +403,22 @@ def _guess_law(robot: Robot) -> ServoLaw:
     """Return a law with the only assumption that torque grows with the position error."""
     law = ServoLaw.of(robot.actuated, given=False, position_gain=5.0, force_per_unit=1.0, limit=np.inf)
     return replace(law, estimated=frozenset({"position_gain"}))
+
+
+def _split(log: Log) -> list[Log]:
+    """Return a log's parts between gaps that outlast the start of a simulation, their stamps even where these are rounded."""
+    return [mend_rounded_stamps(piece) for piece in split_at_gaps(log) if piece.duration > 2 * WARM_UP_S]
+
+
+def _refuse_pieces(logs: Sequence[Log], pieces: Sequence[Log]) -> None:
+    """Reject training logs of which gaps leave no piece that is long enough."""
+    if pieces or not logs:
+        return
+    log = logs[0]
+    lost = 1 - log.n_samples * log.dt / max(log.duration, log.dt)
+    if lost > 0:
+        said = f"{log.name}: gaps cut it into pieces below {2 * WARM_UP_S:g} s; {100 * lost:.0f} % of its samples are missing"
+        raise CannotAnswer("too_little_data", said, "log without losing samples, such as at a lower rate")
 
 
 def _require_in_memory(logs: Sequence[Log | Recording]) -> list[Log]:

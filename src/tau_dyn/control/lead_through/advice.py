@@ -21,6 +21,10 @@ from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.results import Shown
 
 _SHARE = 0.5  # of the stability limit: less than that is calm, see `LeadThroughSettings.warnings`
+MAX_INDENTATION_M = 0.1
+"""Largest travel in contact; foam yields by centimetres."""
+_TOUCH_QUANTILES = np.linspace(0.0, 0.9, 46)  # of the depth, at which the contact may begin
+_LEAST_GAIN = 0.01  # share of the squares that a later beginning must explain to be taken
 _MIN_CONTACT_SAMPLES = 10  # below, a slope's own scatter is a guess
 _STIFFER = np.geomspace(0.1, 10, 61)  # stiffness over the stated one, for the figure
 
@@ -120,8 +124,27 @@ def advise_lead_through(
     return LeadThroughAdvice(settings, limit, loop.hand_limit(mass, damping), stderr)
 
 
+def _find_free_travel(position: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Return the samples (N,) bool before a contact: `force = offset + stiffness max(0, depth)` from the best place on.
+
+    Without free travel a straight line fits as well as any, and no sample is free.
+    """
+    best, free = np.inf, np.zeros(len(position), bool)
+    for side in (1.0, -1.0):
+        depth = side * position
+        for touch in np.quantile(depth, _TOUCH_QUANTILES):
+            columns = np.column_stack([np.maximum(depth - touch, 0.0), np.ones(len(depth))])
+            found, *_ = np.linalg.lstsq(columns, force, rcond=None)
+            misfit = float(np.sum((force - columns @ found) ** 2))
+            if misfit < best * (1 - _LEAST_GAIN):
+                best, free = misfit, depth < touch
+    return free
+
+
 def fit_contact_stiffness(position: np.ndarray, force: np.ndarray, threshold: float = 0.5) -> tuple[float, float]:
     """Return a contact's stiffness and its standard error [N/m], the slope of force over position while in contact.
+
+    The force of a sensor without load, which may have an offset, is that of the free travel before the contact, if there is some.
 
     Args:
         position: Position of the tool along the contact's normal (N,) [m].
@@ -134,12 +157,20 @@ def fit_contact_stiffness(position: np.ndarray, force: np.ndarray, threshold: fl
     """
     if position.shape != force.shape or position.ndim != 1 or not np.isfinite([*position, *force]).all():
         raise InputError("wrong_shape", "position and force are finite columns of one length")
-    touching = np.abs(force) >= threshold
+    free = _find_free_travel(position, force)
+    touching = ~free & (np.abs(force - (np.median(force[free]) if free.any() else 0.0)) >= threshold)
     if touching.sum() < _MIN_CONTACT_SAMPLES or np.ptp(position[touching]) <= 0:
         raise CannotAnswer(
             "poor_excitation",
             f"only {int(touching.sum())} samples of the log are in contact above {threshold:g} N",
             "press the tool on the work slowly, up to the largest force, and release it",
+        )
+    travel = float(np.ptp(position[touching]))
+    if travel > MAX_INDENTATION_M:
+        raise InputError(
+            "wrong_unit",
+            f"the position moves by {travel:.3g} m in contact, more than a tool is pressed into any work; is it in mm? Write "
+            "`x_tool: {column: .., scale: 0.001}` into a column map, and --position x_tool",
         )
     columns = np.column_stack([position[touching], np.ones(touching.sum())])
     found, *_ = np.linalg.lstsq(columns, force[touching], rcond=None)

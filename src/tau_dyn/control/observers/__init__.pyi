@@ -1,5 +1,6 @@
 """Where the tool is, from what the actuators say and an accelerometer feels."""
 
+from .acceleration_check import refuse_odd_accelerations as refuse_odd_accelerations
 from .complementary import ComplementaryToolObserver as ComplementaryToolObserver
 from .kalman import (
     ExtendedModel as ExtendedModel,

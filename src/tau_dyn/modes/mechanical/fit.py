@@ -143,14 +143,20 @@ def compute_misfit_p_value(target: Target, structure: SecondOrder) -> float:
     return float(chi2.sf(np.sum(target.misfit(structure) ** 2), free)) if free > 0 else 1.0
 
 
-def measure_asymmetry(evidence: Evidence, places: Places) -> tuple[float, float]:
-    """Return how far the collocated part of the worst mode's residue is from symmetric, and its standard error."""
+def measure_asymmetry(evidence: Evidence, places: Places, signs: np.ndarray | float = 1.0) -> tuple[float, float]:
+    """Return how far the collocated part of the worst mode's residue is from symmetric, and its standard error.
+
+    Args:
+        evidence: The model and its uncertainty.
+        places: Which degree of freedom each input and output belongs to.
+        signs: Sign of each output (p,).
+    """
     rows, columns = [i for _, i in places.pairs], [j for j, _ in places.pairs]
     if len(rows) < 2:
         return 0.0, 0.0
 
     residues = evidence.at.residues
-    unit = places.unit(residues)
+    unit = places.unit(residues) * np.broadcast_to(signs, residues.shape[1])[:, None]
 
     def difference(values: np.ndarray) -> np.ndarray:
         block = (values / unit)[:, rows][:, :, columns]

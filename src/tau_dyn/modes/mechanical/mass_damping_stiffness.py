@@ -38,6 +38,7 @@ from tau_dyn.modes.mechanical.structure import (
     find_places,
     unpack,
 )
+from tau_dyn.modes.mechanical.wiring import are_driving_points_in_phase, describe_wiring
 from tau_dyn.modes.state_space import StateSpace
 
 STATUSES = ("identified", "condensed", "not_identifiable")
@@ -147,6 +148,7 @@ def fit_mechanical(
     band: tuple[float, float] | None = None,
     complete: bool = True,
     tolerance: float = 0.05,
+    names: Sequence[str] = (),
 ) -> Mechanical:
     """Return M, D, K behind a model from forces to motions.
 
@@ -159,6 +161,7 @@ def fit_mechanical(
         band: Frequencies to trust [Hz]; None: up to 0.9 of half the sampling rate.
         complete: False if checks show that the model misses part of the response: then at most `condensed`.
         tolerance: Relative error of the response that counts as fitting.
+        names: Names of the outputs, for sentences about exchanged or reversed sensors.
 
     Raises:
         InputError: The pairs, the output or the band are not sound.
@@ -172,10 +175,11 @@ def fit_mechanical(
     if not places.pairs:
         return _refused("no collocated pair: name an input and an output at one place and in one direction")
     found, left = [], []
+    told = () if output == "auto" else names  # of unknown sensors, a sign may be a quantity
     for kind in OUTPUTS if output == "auto" else (output,):
         for hold in (HELD, LINEAR):
             try:
-                task = _build_task(build_evidence(source, count_derivatives(kind), hold), places, span, tolerance)
+                task = _build_task(build_evidence(source, count_derivatives(kind), hold), places, span, tolerance, told)
             except CannotAnswer as fault:
                 return _refused(str(fault))
             one = _refused(task) if isinstance(task, str) else _fit_whole(task, complete)
@@ -190,13 +194,15 @@ def fit_mechanical(
     return replace(_stand_in(left[0][0], left[0][1].why), sensor=left[0][1].sensor)
 
 
-def _build_task(evidence: Evidence, places: Places, span: tuple[float, float], tolerance: float) -> Task | str:
+def _build_task(
+    evidence: Evidence, places: Places, span: tuple[float, float], tolerance: float, names: Sequence[str]
+) -> Task | str:
     """Return the input of the fit, or why no structure is worth fitting."""
     if len(evidence.at.oscillating) > places.n:
         evidence = evidence.with_peaks_only()
     modes_hz = np.abs(evidence.at.poles[evidence.at.oscillating]) / (2 * np.pi)
     modes_hz = modes_hz[(modes_hz >= span[0]) & (modes_hz <= span[1])]
-    fault = _unfit(evidence, places, modes_hz, tolerance)
+    fault = _unfit(evidence, places, modes_hz, tolerance, names)
     if fault:
         return fault
     return Task(
@@ -217,7 +223,7 @@ def _refused(why: str) -> Mechanical:
     return Mechanical("not_identifiable", why)
 
 
-def _unfit(evidence: Evidence, places: Places, modes_hz: np.ndarray, tolerance: float) -> str:
+def _unfit(evidence: Evidence, places: Places, modes_hz: np.ndarray, tolerance: float, names: Sequence[str]) -> str:
     """Return why no structure is worth fitting, or an empty string."""
     if not len(modes_hz):
         return "no information: the model has no resonance in the band"
@@ -229,12 +235,16 @@ def _unfit(evidence: Evidence, places: Places, modes_hz: np.ndarray, tolerance: 
     if np.any(at_pairs < 1e-9 * sizes.max()):
         return "no information: a mode is at rest at every collocated pair"
     uneven, stderr = measure_asymmetry(evidence, places)
-    if uneven > max(2 * tolerance, 4 * stderr):
-        return (
-            "the named pairs are not collocated, their units differ, or filters of the sensors act: at one mode the response "
-            f"from one place to another and back differs by {100 * uneven:.0f} %"
-        )
-    return ""
+    sound = uneven <= max(2 * tolerance, 4 * stderr)
+    if sound and are_driving_points_in_phase(evidence, places):
+        return ""
+    remedy = describe_wiring(evidence, places, 2 * tolerance, names)
+    if sound:
+        return f"at one place the motion is against the force; {remedy}" if remedy else ""
+    return (
+        "the named pairs are not collocated, their units differ, or filters of the sensors act: at one mode the response "
+        f"from one place to another and back differs by {100 * uneven:.0f} %{remedy and f'; {remedy}'}"
+    )
 
 
 def _why_whole(task: Task) -> str:

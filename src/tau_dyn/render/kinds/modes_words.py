@@ -74,7 +74,8 @@ def describe_verdict(found: Modes | OperationalModes) -> r.Verdict:
         return _judge(
             "care", "Use frequencies, damping and shapes; the forces were not measured, so shapes have no scale."
         )
-    fit, failed = found.judged.mean, [t for t in found.independence if not t.passed]
+    responding = [k for k, name in enumerate(found.outputs) if name not in found.silent_outputs]
+    fit, failed = float(np.mean(found.judged.percent[responding])), [t for t in found.independence if not t.passed]
     if fit > 0 and fit < FAIR_FIT and not failed and select_known_resonances(found):
         return _judge(
             "care", "Disturbances excite the outputs more than the inputs do; the resonance frequencies remain valid."
