@@ -118,6 +118,50 @@ def test_two_wrong_conventions_are_named_together(robot):
     assert found.n_tried < 250  # the two likeliest are combined, and no third one is looked for
 
 
+def test_inverse_poses_in_another_order_of_quaternions_are_read(robot):
+    """Inverse and roll together turn both frames only: orientations fit as written, and positions alone miss by the reach."""
+    found = search(robot, _roll(_invert(measure(robot, 5))))
+    assert found is not None
+    assert [change.cause for change in found.reading] == ["quaternion_order", "inverse_poses"]
+    assert found.meant.position < 0.02
+
+
+def test_orientations_that_stay_the_same_are_not_measured(robot):
+    """A tracker of one ball writes 0 0 0 1 while the arm turns its tool: positions alone are calibrated, and it is said."""
+    poses = measure(robot, 6)
+    same = replace(poses, rotation=np.tile(np.eye(3), (poses.n, 1, 1)), source="ball.csv")
+    found = calibrate(robot, same)
+    (said,) = [w for w in found.warnings if get_code(w) == "orientation_unused"]
+    assert said.startswith("ball.csv: the orientation is the same in all poses")
+    assert found.poses.rotation is None and found.errors(found.chosen).position_size.rms < 4 * NOISE[0]
+
+
+def test_a_column_that_keeps_one_value_is_the_first_cause_of_a_misfit(robot):
+    """A logger that repeats one height: no geometry explains it, and the column is named before exchanged ones."""
+    poses = measure(robot, 7, turned=False)
+    found = calibrate(robot, replace(poses, position=poses.position * [1, 1, 0] + [0, 0, 0.5]), model="frames")
+    assert any("z_tool keep one value in all poses" in w for w in found.warnings)
+
+
+def test_one_campaign_may_follow_another_convention(robot):
+    """Inverse poses of one campaign alone are read as they are meant, and no frame is called moved."""
+    poses, half = measure(robot, 8), np.arange(40) >= 20
+    spoiled = _invert(poses)
+    assert spoiled.rotation is not None and poses.rotation is not None
+    mixed = replace(
+        poses,
+        position=np.where(half[:, None], spoiled.position, poses.position),
+        rotation=np.where(half[:, None, None], spoiled.rotation, poses.rotation),
+        campaign=half.astype(int),
+        campaigns=("monday", "tuesday"),
+    )
+    found = calibrate(robot, mixed)
+    (said,) = [w for w in found.warnings if get_code(w) == "poses_reread"]
+    assert "campaign tuesday" in said and "inverse" in said
+    assert found.errors(found.chosen).position_size.rms < 4 * NOISE[0]
+    assert not {f.cause for f in found.findings if f.status == "confirmed"} & {"device_moved", "target_moved"}
+
+
 def test_positions_alone_show_a_sign(robot):
     """A target anywhere on the tool, without orientations."""
     poses = measure(robot, 3, turned=False)
