@@ -45,6 +45,26 @@ def test_a_stuck_bit_of_an_encoder_is_named(rng, bit: int, value: int) -> None:
     assert not check_log(log.with_channels(q_a=counts * COUNT)).fit_for_use
 
 
+@pytest.mark.parametrize("size", [0.02, -0.006])
+def test_an_encoder_that_slips_is_named_with_its_time(rng, size: float) -> None:
+    """The position steps within a sample and the motion goes on: no force does that."""
+    q, tau = swing(rng)
+    (said,) = list_faulty(record(rng, q + size * (T > 8.2), tau))
+    assert f"q_a steps by {size:+.1g}"[:16] in said and "after t = 8.2 s" in said
+
+
+def test_impacts_and_lost_samples_do_not_slip(rng) -> None:
+    """An impact reverses the speed on one side; a lost sample is one step more; a rounded joint at rest flickers by a count."""
+    q, tau = swing(rng)
+    bounced = np.where(T < 8.2, q, 2 * q[2050] - q)
+    kept = np.delete(np.arange(T.size), 2050)
+    lost = np.append(q[kept], q[-1])
+    parked = np.round((q * (T < 10) + q[2500] * (T >= 10) + 2e-5 * rng.standard_normal(T.size)) / 1e-4) * 1e-4
+    for one in (bounced, lost):
+        assert list_faulty(record(rng, one, tau)) == []
+    assert list_faulty(record(rng, q, tau).with_channels(q_a=parked)) == []
+
+
 @pytest.mark.parametrize("count", [1e-4, 8e-4, 5e-3])
 def test_coarse_encoders_have_all_their_bits(rng, count: float) -> None:
     """Rounded positions move by one count along the motion, also where they are written with more digits."""

@@ -89,7 +89,7 @@ MAX_LEFT = 0.15
 """Share of gravity that may remain in forces from which a controller subtracted it: bodies of its model are wrong by 15 %."""
 
 MAX_SUBTRACTED_MORE = 1.0
-"""Share of the bodies' forces by which a controller's model may exceed the robot file's: at full payload an arm's torques double."""
+"""Share of the bodies' forces by which a controller's model may exceed the robot file's: a payload doubles an arm's torques."""
 
 MAX_LEFT_AT_JOINT = 0.05
 """The same for a single joint, which springs and counterweights balance to 60 to 90 %."""

@@ -22,7 +22,7 @@ from tau_dyn.log.filtering import (
 )
 from tau_dyn.log.log import Log
 from tau_dyn.log.resample import find_true_runs
-from tau_dyn.log.signal_checks import FORCE_S, CheckFinding, FrozenStretch, choose_finding
+from tau_dyn.log.signal_checks import FORCE_S, CheckFinding, FrozenStretch, choose_finding, find_jumps
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.results import count
 
@@ -196,6 +196,59 @@ def _predict_force(log: Log, tau: NDArray[np.float64], use: NDArray[np.bool_]) -
     columns += parts + [one * other for k, one in enumerate(parts) for other in parts[k + 1 :]]
     X = np.column_stack(columns)
     return X @ np.linalg.lstsq(X[use], tau[use], rcond=None)[0]
+
+
+MIN_SLIP_RATIO = 10.0
+"""Size of a slip over the sixth largest departure of a step from the steps around it; an encoder slips a few times at most."""
+
+MIN_SLIP_COUNTS = 3.0
+"""Least size of a slip in counts of its encoder."""
+
+MIN_SLIP_SHARE = 1e-3
+"""Least size of a slip, as a share of the joint's range."""
+
+LOST_STEPS = np.array([-1, 1, 2, 3, 4, 5])
+"""Steps that a repeated sample or lost samples add, to within a fourth of a step."""
+
+
+def find_slip(log: Log, joint: str) -> CodedWarning | None:
+    """Return a warning about positions that step against the motion before and after, else None.
+
+    A coupling or an encoder that slips moves the position within one sample, while the steps on both sides go on alike. An impact
+    changes the steps on one side; lost samples make a whole number of steps.
+    """
+    q = log.channels[f"q_{joint}"]
+    step = np.diff(q)
+    if len(step) < 100 or find_jumps(q).size:
+        return None
+    before, after = (step[1:-3] + step[:-4]) / 2, (step[3:-1] + step[4:]) / 2
+    off = np.stack([step[2:-2] - before, step[2:-2] - after])
+    size = np.where(off[0] * off[1] > 0, np.abs(off).min(axis=0), 0.0)
+    usual = float(np.sort(size)[-6])
+    least = max(
+        MIN_SLIP_RATIO * usual,
+        MIN_SLIP_COUNTS * float(estimate_quantisation_step(q)),
+        MIN_SLIP_SHARE * float(np.ptp(q)),
+    )
+    steps = off.mean(axis=0) / np.where(before + after == 0, np.inf, (before + after) / 2)
+    lost = np.any(np.abs(steps[:, None] - LOST_STEPS) < 0.25, axis=1)
+    even = (
+        np.convolve(np.diff(log.t) < 1.5 * log.dt, np.ones(5), "valid") > 4
+    )  # a gap lies between no two of five steps
+    found = np.flatnonzero((size > least) & even & ~lost)
+    if not found.size or usual == 0:
+        return None
+    at = found[0] + 2
+    return CodedWarning(
+        "faulty_channel",
+        f"{log.name}: q_{joint} steps by {off[:, found[0]].mean():+.3g} within one sample after t = {log.t[at]:.6g} s, while the "
+        f"joint moves on as before: the encoder or its coupling slipped{_count_more(found.size)}. Cut the log there, and use the "
+        "parts as two logs; their zeros differ.",
+    )
+
+
+def _count_more(n: int) -> str:
+    return f" ({n} times in the log)" if n > 1 else ""
 
 
 MIN_STUCK_PERIODS = 4

@@ -35,6 +35,7 @@ SPOILING = frozenset(
         "lost_samples",
         "repeated_samples",
         "force_at_limit",
+        "faulty_channel",
         "updated_less_often",
     }
 )
