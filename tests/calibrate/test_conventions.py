@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate import PoseSet, calibrate, read_poses
 from tau_dyn.calibrate.conventions import FoundReading, find_reading
+from tau_dyn.calibrate.conventions.readings import list_readings
 from tau_dyn.calibrate.conventions.rigid_fit import measure_misfit
-from tau_dyn.calibrate.conventions.search import is_far_beyond
+from tau_dyn.calibrate.conventions.search import _join, is_far_beyond
 from tau_dyn.calibrate.models import RodFamily, Spec, TreeFamily, get_family
 from tau_dyn.calibrate.simulated import TRACKER, simulate_poses
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
@@ -124,6 +125,14 @@ def test_inverse_poses_in_another_order_of_quaternions_are_read(robot):
     assert found is not None
     assert [change.cause for change in found.reading] == ["quaternion_order", "inverse_poses"]
     assert found.meant.position < 0.02
+
+
+def test_the_format_of_orientations_is_applied_before_they_are_inverted(robot):
+    """The inverse of numbers in another order is no inverse, in whatever order the two changes are found."""
+    poses = measure(robot, 5)
+    every = {r[0].cause: r for r in list_readings(poses, robot.actuated, ["rad"] * 4, turns=True) if len(r) == 1}
+    joined = _join(every["inverse_poses"], every["quaternion_order"])
+    assert joined is not None and [change.cause for change in joined] == ["quaternion_order", "inverse_poses"]
 
 
 def test_orientations_that_stay_the_same_are_not_measured(robot):

@@ -54,13 +54,14 @@ def test_an_encoder_that_slips_is_named_with_its_time(rng, size: float) -> None:
 
 
 def test_impacts_and_lost_samples_do_not_slip(rng) -> None:
-    """An impact reverses the speed on one side; a lost sample is one step more; a rounded joint at rest flickers by a count."""
+    """An impact reverses the speed on one side, a lost sample is one step more, a wrong reading comes back, a rest flickers."""
     q, tau = swing(rng)
     bounced = np.where(T < 8.2, q, 2 * q[2050] - q)
     kept = np.delete(np.arange(T.size), 2050)
     lost = np.append(q[kept], q[-1])
     parked = np.round((q * (T < 10) + q[2500] * (T >= 10) + 2e-5 * rng.standard_normal(T.size)) / 1e-4) * 1e-4
-    for one in (bounced, lost):
+    spiked = q + 0.02 * (np.arange(T.size) == 2050)
+    for one in (bounced, lost, spiked):
         assert list_faulty(record(rng, one, tau)) == []
     assert list_faulty(record(rng, q, tau).with_channels(q_a=parked)) == []
 
@@ -71,7 +72,9 @@ def test_coarse_encoders_have_all_their_bits(rng, count: float) -> None:
     q, tau = swing(rng)
     log = record(rng, np.round(q / count) * count, tau)
     assert list_faulty(log) == []
-    assert list_faulty(log.with_channels(q_a=np.round(q / count) * count)) == []
+    rounded = np.round(q / count) * count
+    assert list_faulty(log.with_channels(q_a=rounded)) == []
+    assert list_faulty(log.with_channels(q_a=rounded + COUNT * (np.gradient(q) > 0))) == []  # backlash is compensated
 
 
 @pytest.mark.parametrize(("side", "share"), [(1, 0.85), (-1, 0.9), (1, 0.95)])

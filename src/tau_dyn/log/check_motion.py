@@ -221,9 +221,11 @@ def find_slip(log: Log, joint: str) -> CodedWarning | None:
     step = np.diff(q)
     if len(step) < 100 or find_jumps(q).size:
         return None
-    before, after = (step[1:-3] + step[:-4]) / 2, (step[3:-1] + step[4:]) / 2
-    off = np.stack([step[2:-2] - before, step[2:-2] - after])
-    size = np.where(off[0] * off[1] > 0, np.abs(off).min(axis=0), 0.0)
+    before, after = (step[:-6] + step[1:-5]) / 2, (step[5:-1] + step[6:]) / 2
+    off = np.stack([step[3:-3] - before, step[3:-3] - after])
+    kept = step[2:-4] + step[3:-3] + step[4:-2] - 1.5 * (before + after)  # a single wrong reading comes back
+    size = np.abs(off).min(axis=0)
+    size = np.where((off[0] * off[1] > 0) & (kept * off[0] > 0) & (np.abs(kept) > size / 2), size, 0.0)
     usual = float(np.sort(size)[-6])
     least = max(
         MIN_SLIP_RATIO * usual,
@@ -232,13 +234,11 @@ def find_slip(log: Log, joint: str) -> CodedWarning | None:
     )
     steps = off.mean(axis=0) / np.where(before + after == 0, np.inf, (before + after) / 2)
     lost = np.any(np.abs(steps[:, None] - LOST_STEPS) < 0.25, axis=1)
-    even = (
-        np.convolve(np.diff(log.t) < 1.5 * log.dt, np.ones(5), "valid") > 4
-    )  # a gap lies between no two of five steps
+    even = np.convolve(np.diff(log.t) < 1.5 * log.dt, np.ones(7), "valid") > 6  # none of the seven steps is a gap
     found = np.flatnonzero((size > least) & even & ~lost)
     if not found.size or usual == 0:
         return None
-    at = found[0] + 2
+    at = found[0] + 3
     return CodedWarning(
         "faulty_channel",
         f"{log.name}: q_{joint} steps by {off[:, found[0]].mean():+.3g} within one sample after t = {log.t[at]:.6g} s, while the "
