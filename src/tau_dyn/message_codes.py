@@ -199,7 +199,7 @@ WARNING_CODES: dict[str, MessageCode] = {
         "only touches were measured, which do not show the size of the robot", "measure one distance as well"
     ),
     "orientation_unused": MessageCode(
-        "training and held-out poses do not both have orientations",
+        "orientations are constant, or missing in one file",
         "measure both in the same way; positions alone are compared",
     ),
     "contact": MessageCode("the tool rests on something", "keep such samples out of training; the fit leaves them out"),
@@ -262,7 +262,7 @@ WARNING_CODES: dict[str, MessageCode] = {
         "a channel is constant while its joint moves, or is updated less often than logged",
         "log all channels at one rate; frozen positions are left out",
     ),
-    "faulty_channel": MessageCode("`modes`: a channel dies or clips", "mend it; dead stretches are left out"),
+    "faulty_channel": MessageCode("a channel dies, clips or slips", "mend it; dead stretches are left out"),
     "holdout_differs": MessageCode(
         "the held-out error of a joint is over 3 times the training error", "check machine, tool and load of both logs"
     ),

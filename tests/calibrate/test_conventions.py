@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from tau_dyn.calibrate import PoseSet, calibrate, read_poses
 from tau_dyn.calibrate.conventions import FoundReading, find_reading
+from tau_dyn.calibrate.conventions.readings import list_readings
 from tau_dyn.calibrate.conventions.rigid_fit import measure_misfit
-from tau_dyn.calibrate.conventions.search import is_far_beyond
+from tau_dyn.calibrate.conventions.search import _join, is_far_beyond
 from tau_dyn.calibrate.models import RodFamily, Spec, TreeFamily, get_family
 from tau_dyn.calibrate.simulated import TRACKER, simulate_poses
 from tau_dyn.calibrate.tree_geometry import build_tree_geometry
@@ -116,6 +117,58 @@ def test_two_wrong_conventions_are_named_together(robot):
     found = search(robot, replace(poses, q=np.rad2deg(poses.q), position=1e3 * poses.position))
     assert found is not None and {change.cause for change in found.reading} == {"joint_unit", "position_unit"}
     assert found.n_tried < 250  # the two likeliest are combined, and no third one is looked for
+
+
+def test_inverse_poses_in_another_order_of_quaternions_are_read(robot):
+    """Inverse and roll together turn both frames only: orientations fit as written, and positions alone miss by the reach."""
+    found = search(robot, _roll(_invert(measure(robot, 5))))
+    assert found is not None
+    assert [change.cause for change in found.reading] == ["quaternion_order", "inverse_poses"]
+    assert found.meant.position < 0.02
+
+
+def test_the_format_of_orientations_is_applied_before_they_are_inverted(robot):
+    """The inverse of numbers in another order is no inverse, in whatever order the two changes are found."""
+    poses = measure(robot, 5)
+    every = {r[0].cause: r for r in list_readings(poses, robot.actuated, ["rad"] * 4, turns=True) if len(r) == 1}
+    joined = _join(every["inverse_poses"], every["quaternion_order"])
+    assert joined is not None and [change.cause for change in joined] == ["quaternion_order", "inverse_poses"]
+
+
+def test_orientations_that_stay_the_same_are_not_measured(robot):
+    """A tracker of one ball writes 0 0 0 1 while the arm turns its tool: positions alone are calibrated, and it is said."""
+    poses = measure(robot, 6)
+    same = replace(poses, rotation=np.tile(np.eye(3), (poses.n, 1, 1)), source="ball.csv")
+    found = calibrate(robot, same)
+    (said,) = [w for w in found.warnings if get_code(w) == "orientation_unused"]
+    assert said.startswith("ball.csv: the orientation is the same in all poses")
+    assert found.poses.rotation is None and found.errors(found.chosen).position_size.rms < 4 * NOISE[0]
+
+
+def test_a_column_that_keeps_one_value_is_the_first_cause_of_a_misfit(robot):
+    """A logger that repeats one height: no geometry explains it, and the column is named before exchanged ones."""
+    poses = measure(robot, 7, turned=False)
+    found = calibrate(robot, replace(poses, position=poses.position * [1, 1, 0] + [0, 0, 0.5]), model="frames")
+    assert any("z_tool keep one value in all poses" in w for w in found.warnings)
+
+
+def test_one_campaign_may_follow_another_convention(robot):
+    """Inverse poses of one campaign alone are read as they are meant, and no frame is called moved."""
+    poses, half = measure(robot, 8), np.arange(40) >= 20
+    spoiled = _invert(poses)
+    assert spoiled.rotation is not None and poses.rotation is not None
+    mixed = replace(
+        poses,
+        position=np.where(half[:, None], spoiled.position, poses.position),
+        rotation=np.where(half[:, None, None], spoiled.rotation, poses.rotation),
+        campaign=half.astype(int),
+        campaigns=("monday", "tuesday"),
+    )
+    found = calibrate(robot, mixed)
+    (said,) = [w for w in found.warnings if get_code(w) == "poses_reread"]
+    assert "campaign tuesday" in said and "inverse" in said
+    assert found.errors(found.chosen).position_size.rms < 4 * NOISE[0]
+    assert not {f.cause for f in found.findings if f.status == "confirmed"} & {"device_moved", "target_moved"}
 
 
 def test_positions_alone_show_a_sign(robot):

@@ -86,6 +86,18 @@ def test_a_brake_that_starts_to_drag_is_friction_and_a_constant_force_is_none():
     assert pull.after == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.parametrize(("start_s", "end_s"), [(8.0, 16.0), (20.0, 28.0)])
+def test_a_brake_that_drags_for_a_while_begins_and_ends(start_s: float, end_s: float):
+    """Neither step holds alone, because the force is the same before and after; each holds with the other in the model."""
+    clean = make_regression(4)
+    within = is_late(clean, start_s) & ~is_late(clean, end_s)
+    begins, ends = find_changes(add_force(clean, within * [1.0, 0.0] * np.sign(clean.runs[0].signals["v"])))
+    assert {(one.kind, one.joint) for one in (begins, ends)} == {("friction", "j1")}
+    assert (begins.time_s, ends.time_s) == (pytest.approx(start_s, abs=0.5), pytest.approx(end_s, abs=0.5))
+    assert begins.after - begins.before == pytest.approx(1.0, abs=0.1)
+    assert ends.after - ends.before == pytest.approx(-1.0, abs=0.1)
+
+
 def test_a_brake_on_a_vertical_slide_is_found_beside_its_weight():
     """The weight of a slide is a constant force and no part of its friction, with which a change of friction is compared.
 

@@ -224,3 +224,67 @@ def test_the_clock_that_is_advised_carries_its_scale(tmp_path) -> None:
     path = write_rows(tmp_path / "a.csv", [f"{1000 * t:.0f}" for t in T], head="time_ms,q_axis,tau_axis")
     with raises_code("missing_column", "t: {column: time_ms, scale: 0.001}"):
         read_log(path)
+
+
+@pytest.mark.parametrize(("size", "unit"), [(2**32, 1e-6), (2**16, 1e-3)])
+def test_a_counter_that_restarts_goes_on(tmp_path, size: int, unit: float) -> None:
+    """A counter of microseconds or milliseconds is full in the middle of the log: its range is added, with a remark."""
+    ticks = np.round(T / unit).astype(np.int64)
+    path = write_rows(tmp_path / "a.csv", [str(x) for x in (ticks + size - ticks[150] + 1) % size])
+    log = read_log(path)
+    assert_allclose((log.t - log.t[0]) * unit, T, rtol=0, atol=1e-6)
+    assert "restarts at" in log.warnings[0] and get_code(log.warnings[0]) == "clock_converted"
+
+
+def test_recordings_that_follow_each_other_are_no_counter(tmp_path) -> None:
+    """A clock that restarts anywhere else goes backwards."""
+    with raises_code("bad_sample", "comes after", "Two recordings joined"):
+        read_log(write_rows(tmp_path / "a.csv", [f"{t:.3f}" for t in np.where(T < 0.8, T, T - 0.8)]))
+
+
+def test_the_end_of_summer_time_is_named(tmp_path) -> None:
+    """Local time goes back by one hour within the night of the change."""
+    back = np.where(np.arange(N) < 200, 0, 3600)
+    stamps = [(START + datetime.timedelta(seconds=float(t - b))).isoformat(" ") for t, b in zip(T, back, strict=True)]
+    with raises_code("bad_sample", "line 202", "goes back by one hour", "UTC"):
+        read_log(write_rows(tmp_path / "a.csv", stamps))
+
+
+@pytest.mark.parametrize("names", [("sec", "nanosec"), ("header.stamp.secs", "header.stamp.nsecs")])
+def test_seconds_and_nanoseconds_are_one_clock(tmp_path, names: tuple[str, str]) -> None:
+    """Stamps of ROS in two columns: their sum is the time, without a map and with the line that `columns` proposes."""
+    whole, part = (np.divmod(np.round(1e9 * (T + 0.3)).astype(np.int64), 10**9)[k] for k in (0, 1))
+    frame = pd.DataFrame({names[0]: whole + 1764489600, names[1]: part, "q_axis": Q, "tau_axis": TAU})
+    frame.to_csv(tmp_path / "a.csv", index=False)
+    assert_same(read_log(tmp_path / "a.csv"))
+    (tmp_path / "map.yaml").write_text(f"t: {names[0]}\nq_axis: q_axis\ntau_axis: tau_axis\n")
+    assert_same(read_log(tmp_path / "a.csv", tmp_path / "map.yaml"))
+
+
+def test_a_header_in_the_middle_joins_two_recordings(tmp_path) -> None:
+    """A logger that appends writes its header again; the line is named, not the word that is no number."""
+    path = write_rows(tmp_path / "a.csv", get_numbers())
+    path.write_text(path.read_text() + path.read_text())
+    with raises_code("file_format", "line 402 repeats the header", "two files"):
+        read_log(path)
+
+
+def test_the_index_that_pandas_writes_is_no_signal(tmp_path) -> None:
+    """A first column without a name counts the rows; one that does not count has to have a name."""
+    frame = pd.DataFrame({"t": get_numbers(), "q_axis": Q, "tau_axis": TAU})
+    frame.to_csv(tmp_path / "a.csv")
+    assert_same(read_log(tmp_path / "a.csv"))
+    frame.iloc[::2].to_csv(tmp_path / "b.csv")
+    with raises_code("missing_column", "column 1 has no name"):
+        read_log(tmp_path / "b.csv")
+
+
+@pytest.mark.parametrize(("marker", "rows"), [(-9999, [7, 8, 90]), (65535, [7])])
+def test_a_marker_of_missing_readings_is_no_force(tmp_path, marker: int, rows: list[int]) -> None:
+    """A whole number ten times beyond all others stands for a reading that was lost: those samples are gaps."""
+    frame = pd.DataFrame({"t": T, "q_axis": Q, "tau_axis": TAU})
+    frame.loc[rows, "tau_axis"] = marker
+    frame.to_csv(tmp_path / "a.csv", index=False)
+    log = read_log(tmp_path / "a.csv")
+    assert_allclose(log.channels["tau_axis"], np.delete(TAU, rows))
+    assert f"tau_axis is {marker} in {len(rows)} sample" in log.warnings[0]

@@ -59,7 +59,7 @@ from tau_dyn.calibrate.outliers import (
 )
 from tau_dyn.calibrate.result import Calibration
 from tau_dyn.exceptions import CannotAnswer, InputError
-from tau_dyn.log import ColumnProposal
+from tau_dyn.log import ColumnProposal, format_names
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.robot import Robot, as_robot
 
@@ -130,7 +130,9 @@ def calibrate(
         _require_place(robot, one)
     options = Options(tuple(fix), tuple(free), residual, robust, device, tool, seed, prior=tuple(prior))
     progress("checking conventions of the pose file")
+    poses, holdout, dropped = _drop_constant_orientations(robot, poses, holdout)
     poses, holdout, reading, reread = _reread(robot, poses, holdout, options)
+    reread = (*dropped, *reread)
     poses, turned = read_encoders_as_meant(robot, poses)
     reread = (*reread, *turned)
     if holdout is not None:
@@ -221,6 +223,37 @@ def _require_place(robot: Robot, poses: PoseSet) -> None:
         )
 
 
+_MIN_TURN_RAD = 0.05
+"""Rms turn of the tool by the robot file from which equal orientations of all poses were not measured."""
+
+
+def _drop_constant_orientations(
+    robot: Robot, poses: PoseSet, holdout: PoseSet | None
+) -> tuple[PoseSet, PoseSet | None, tuple[str, ...]]:
+    """Return poses without orientations that stay the same although the tool turns, and sentences about them."""
+    if not any(one is not None and _has_constant_orientation(robot, one) for one in (poses, holdout)):
+        return poses, holdout, ()
+    names = " and ".join(
+        one.source for one in (poses, holdout) if one is not None and _has_constant_orientation(robot, one)
+    )
+    said = CodedWarning(
+        "orientation_unused",
+        f"{names}: the orientation is the same in all poses although the tool turns by the robot file, so it was not "
+        "measured; positions alone are used. Leave its columns out, or measure it",
+    )
+    return poses.without_rotation(), None if holdout is None else holdout.without_rotation(), (said,)
+
+
+def _has_constant_orientation(robot: Robot, poses: PoseSet) -> bool:
+    """Return whether all measured orientations are equal although the joints turn the tool by the robot file."""
+    if poses.rotation is None or poses.n < 2 or np.ptp(poses.rotation, axis=0).max() > 1e-9:
+        return False
+    geometry = get_family(robot, poses).build(Spec("frames"))
+    at = geometry.forward(geometry.parameters.values, poses.q)
+    turned = at.poses.rotation[at.ok]
+    return bool(geometry.orients and len(turned) > 1 and np.sqrt(np.sum(np.var(turned, axis=0))) > _MIN_TURN_RAD)
+
+
 def _check_size(robot: Robot, poses: PoseSet) -> tuple[str, ...]:
     """Return a warning if the measurements do not determine the robot's size: touches, or angles between rotary drives."""
     if not poses.hides_size(robot.position_units):
@@ -264,6 +297,10 @@ def _reread(
     if not poses.measures_poses:
         return poses, holdout, None, tuple(said)
     found, geometry, limits = _find_convention(robot, poses, options)
+    if found is None and len(np.unique(poses.campaign)) > 1:
+        if not is_explained(measure_as_written(geometry, poses, limits)):
+            poses, one, more = _reread_campaigns(robot, poses, options)
+            return poses, holdout, one, (*said, *more)
     said += [found.describe(poses.source)] if found else []
     if holdout is not None:
         holdout, more = _reread_holdout(robot, poses.source, holdout, found, (geometry, limits), options)
@@ -274,6 +311,28 @@ def _reread(
     for one in (poses, *([holdout] if holdout is not None else [])):
         check_units(one)
     return poses, holdout, found, tuple(said)
+
+
+_MIN_POSES_OF_CAMPAIGN = 8
+"""Poses of a campaign from which its own convention is searched: four frames of six numbers have half of theirs."""
+
+
+def _reread_campaigns(
+    robot: Robot, poses: PoseSet, options: Options
+) -> tuple[PoseSet, FoundReading | None, tuple[str, ...]]:
+    """Return poses with each campaign in the convention in which it was written, the evidence for one, and sentences."""
+    parts, all_found, said = [], [], []
+    for k in np.unique(poses.campaign):
+        part = poses.take(poses.campaign == k)
+        found = _find_convention(robot, part, options)[0] if part.n >= _MIN_POSES_OF_CAMPAIGN else None
+        parts.append(found.apply(part) if found else part)
+        if found:
+            all_found.append(found)
+            said.append(found.describe(f"{poses.source}, campaign {poses.campaigns[k]}"))
+    if not all_found:
+        return poses, None, ()
+    joined = replace(join_pose_sets(parts), source=poses.source, sha256=poses.sha256, warnings=poses.warnings)
+    return joined, all_found[0], tuple(said)
 
 
 def _reread_holdout(
@@ -397,7 +456,18 @@ def _doubts(fitted: GeometryFit) -> tuple[str, ...]:
     off, wide = fitted.noise[0], fitted.spread
     if fitted.kind == "forward" and off > _MAX_RELATIVE_MISFIT * wide:
         said.append(
-            f"the robot misses its own poses by {off:.2g} m, while they spread over {wide:.2g} m; were two joints' or two axes' "
-            "columns exchanged, or is this another robot's file?"
+            f"the robot misses its own poses by {off:.2g} m, while they spread over {wide:.2g} m; "
+            f"{_describe_constant_columns(fitted)}were two joints' or two axes' columns exchanged, or is this another robot's "
+            "file?"
         )
     return tuple(said)
+
+
+def _describe_constant_columns(fitted: GeometryFit) -> str:
+    """Return the columns that keep one value in all poses, as the first cause of a misfit; empty without any."""
+    poses, joints = fitted.poses, fitted.geometry.actuated
+    q = [f"q_{joint}" for joint, x in zip(joints, poses.q.T, strict=True) if not np.ptp(x)]
+    position = [name for name, x in zip(("x_tool", "y_tool", "z_tool"), poses.position.T, strict=True) if not np.ptp(x)]
+    if not q and not position:
+        return ""
+    return f"{format_names([*q, *position])} keep one value in all poses: was it logged? Else "

@@ -16,6 +16,9 @@ A change has to be significant over all joints, kinds and times of all logs, to 
 (a warming machine drifts), and to be larger than the error of a textbook law. Smooth functions of a joint's own motion are in
 X, so that missing friction of the model is not mistaken for a change between a slow and a fast part of the motion.
 
+A change that ends within the log, such as a brake that drags for a while, is two steps of which none holds alone. Where no step
+holds, pairs of times are scanned, and each of the two steps is tested with the other one in the model.
+
 Reference: Andrews 1993 (tests for a structural change with unknown change point); Bai & Perron 1998 (several changes, one after
 the other).
 """
@@ -30,7 +33,7 @@ import numpy as np
 
 from tau_dyn.estimate import Regression, assign_blocks, solve_scaled
 from tau_dyn.evidence.change_points.log_data import Columns, Hypothesis, Kind, LogData, list_hypotheses
-from tau_dyn.evidence.change_points.step import LEVEL, Step, fit_step, select_hypothesis
+from tau_dyn.evidence.change_points.step import LEVEL, Step, fit_step, select_hypothesis, select_pulse
 from tau_dyn.evidence.change_points.white_rows import estimate_noise, make_rows
 from tau_dyn.evidence.plausibility import MAX_LAW_ERROR
 from tau_dyn.evidence.unknown_structure import MIN_2LOGL_DIFFERENCE
@@ -174,6 +177,7 @@ def _search_log(regression: Regression, shared: Mapping[Kind, Columns], n_logs: 
         left = [one for one in left if one is not best[0]] if now is data else every
         new = change is not None and not any(_is_one_event(change, other, data.memory_s) for other in found)
         found, data = [*found, *([change] if change and new else [])], now
+    found = found or _search_pulse(LogData(regression), every, len(every) * n_logs)
     return sorted(found, key=lambda one: one.time_s)
 
 
@@ -216,6 +220,24 @@ def _test(data: LogData, hypothesis: Hypothesis, time_s: float, n_hypotheses: in
     name = data.regression.runs[0].name
     found = LogChange(name, joint, step.time_s, step.time_stderr_s, kind, before, after, unit, p_value)
     return found, taken
+
+
+def _search_pulse(data: LogData, every: Sequence[Hypothesis], n_hypotheses: int) -> list[LogChange]:
+    """Return a change and its end, such as a brake that drags for a while; empty unless both hold.
+
+    None of the two may hold alone. Each is tested with the other one in the model (Bai & Perron 1998).
+    """
+    white = make_rows(data, estimate_noise(data, 0))
+    pulse = None if white is None else select_pulse(white, every, n_hypotheses)
+    if pulse is None:
+        return []
+    hypothesis, start_s, end_s = pulse
+    end, _ = _test(data.take(hypothesis, start_s, 1.0).leave_out(start_s), hypothesis, end_s, n_hypotheses)
+    if end is None:
+        return []
+    rest = data.take(hypothesis, end.time_s, 1.0).leave_out(end.time_s)
+    start, _ = _test(rest, hypothesis, start_s, n_hypotheses)
+    return [] if start is None else [start, end]
 
 
 def _measure(data: LogData, hypothesis: Hypothesis, step: Step) -> tuple[float, float, float, str]:

@@ -88,6 +88,9 @@ MIN_FACTOR_STDERRS = 6.0
 MAX_LEFT = 0.15
 """Share of gravity that may remain in forces from which a controller subtracted it: bodies of its model are wrong by 15 %."""
 
+MAX_SUBTRACTED_MORE = 1.0
+"""Share of the bodies' forces by which a controller's model may exceed the robot file's: a payload doubles an arm's torques."""
+
 MAX_LEFT_AT_JOINT = 0.05
 """The same for a single joint, which springs and counterweights balance to 60 to 90 %."""
 
@@ -232,9 +235,16 @@ def is_hopeless(test: ReadingTest, fit: ReadingFit, noise: np.ndarray) -> bool:
     return bool(np.any(noisy | poor))
 
 
-def is_part_missing(left: float, *, is_single: bool) -> bool:
-    """Return whether the remaining share of gravity, or of the bodies' forces, is consistent with zero."""
-    return abs(left) < (MAX_LEFT_AT_JOINT if is_single else MAX_LEFT)
+def is_part_missing(left: float, *, is_single: bool, of_bodies: bool = False) -> bool:
+    """Return whether the remaining share of gravity, or of the bodies' forces, is consistent with zero.
+
+    Args:
+        left: Remaining share; below zero where more was subtracted than the robot file's bodies exert.
+        is_single: Whether one joint alone lacks it.
+        of_bodies: Whether forces of inertia were subtracted as well, which no spring balances.
+    """
+    most = MAX_LEFT_AT_JOINT if is_single else MAX_LEFT
+    return -(MAX_SUBTRACTED_MORE if of_bodies else most) < left < most
 
 
 def is_preferred_in_each_half(gains: Sequence[float]) -> bool:

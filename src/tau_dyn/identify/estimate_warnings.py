@@ -183,7 +183,8 @@ def _excess(estimate: Estimate, name: str, plain: float) -> float:
 def list_friction_sign_warnings(estimate: Estimate) -> list[CodedWarning]:
     """Return a sentence for each joint whose estimated friction is negative.
 
-    Causes: a reversed sign of a force or a position, or the column of another joint.
+    Causes: a reversed sign of a force or a position, the column of another joint, or a controller that subtracts more friction
+    than there is.
     """
     found = []
     for joint in estimate.regression.outputs:
@@ -194,7 +195,8 @@ def list_friction_sign_warnings(estimate: Estimate) -> list[CodedWarning]:
         if len(pushing) >= max(2, len(friction) / 2):
             sentence = (
                 f"{joint}: estimated friction is negative; check the sign of tau_{joint} (what the actuator "
-                f"applies along q_{joint}) and that q_{joint} and tau_{joint} are this joint's columns"
+                f"applies along q_{joint}), that q_{joint} and tau_{joint} are this joint's columns, and whether the controller "
+                "has already subtracted friction from the force"
             )
             found.append(CodedWarning("sign_reversed", sentence))
     return found

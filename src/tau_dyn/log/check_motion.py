@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 from scipy.signal import correlate
 
 from tau_dyn.log.filtering import (
@@ -20,7 +21,9 @@ from tau_dyn.log.filtering import (
     lowpass,
 )
 from tau_dyn.log.log import Log
-from tau_dyn.log.signal_checks import FORCE_S, CheckFinding, FrozenStretch, choose_finding
+from tau_dyn.log.resample import find_true_runs
+from tau_dyn.log.signal_checks import FORCE_S, CheckFinding, FrozenStretch, choose_finding, find_jumps
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.results import count
 
 CUTOFF_SHARE = 0.06
@@ -120,6 +123,169 @@ def _extend_stretch(x: NDArray[np.float64], inside: slice) -> tuple[int, int]:
     off = np.abs(x - x[inside].mean()) > 5 * x[inside].std()
     before, after = np.flatnonzero(off[: inside.start]), np.flatnonzero(off[inside.stop :])
     return int(before[-1]) + 1 if before.size else 0, inside.stop + int(after[0]) if after.size else len(x)
+
+
+MEAN_S = 0.02
+"""Time over which a force is averaged before its extreme is sought [s]: excursions of a robot's force take longer."""
+
+BAND = 7.0
+"""Width of the band of a limit with noise on it, in standard deviations of the averaged noise: its extremes are 3.5 off."""
+
+MIN_CROWDING = 8.0
+"""Samples in the band over a fourth of those in the next four bands; the top of a parabola has 3.2, see `channel_health.py`."""
+
+MIN_EXCURSIONS = 3
+"""Least number of excursions to a limit."""
+
+MIN_EXCESS_RATIO = 3.0
+"""Force beyond the limit that the motion requires, on average over excursions, over the rms residual of the other samples."""
+
+
+def find_clipped_force(log: Log, joint: str) -> CodedWarning | None:
+    """Return a warning about a force that is measured as a constant with noise while the motion requires more, else None.
+
+    A force that a sensor or amplifier clips crowds at its extreme. A drive at its limit does so too, and a constant acceleration
+    requires a constant force; there the motion agrees with the measured force. The force that the motion requires is a linear
+    function of accelerations, velocities, directions and products of sines and cosines of all positions, fitted to the other
+    samples.
+
+    Args:
+        log: The log, evenly sampled or nearly so.
+        joint: The joint.
+    """
+    tau = log.channels[f"tau_{joint}"]
+    width = max(3, round(MEAN_S * log.rate_hz))
+    noise = float(estimate_encoder_noise(tau)) / np.sqrt(width)
+    if log.n_samples < 50 * width or noise == 0:
+        return None
+    mean = np.convolve(tau, np.ones(width) / width, "same")
+    mean[:width] = mean[-width:] = np.median(mean)
+    for side in (1.0, -1.0):
+        below = float((side * mean).max()) - side * mean
+        runs = [r for r in find_true_runs(below <= BAND * noise) if r.stop - r.start >= 2 * width]
+        inside = sum(r.stop - r.start for r in runs)
+        beside = np.count_nonzero((below > BAND * noise) & (below <= 5 * BAND * noise)) / 4
+        if len(runs) < MIN_EXCURSIONS or inside < MIN_CROWDING * max(beside, 1.0):
+            continue
+        excess = side * (_predict_force(log, tau, below > BAND * noise) - tau)
+        beyond = float(np.mean([excess[r].mean() for r in runs]))
+        if beyond > MIN_EXCESS_RATIO * float(np.sqrt(np.mean(excess[below > BAND * noise] ** 2))):
+            return _describe_clipped(log, joint, runs, beyond)
+    return None
+
+
+def _describe_clipped(log: Log, joint: str, runs: Sequence[slice], excess: float) -> CodedWarning:
+    tau = log.channels[f"tau_{joint}"]
+    level = float(np.median(np.concatenate([tau[r] for r in runs])))
+    share = 100 * sum(r.stop - r.start for r in runs) / log.n_samples
+    return CodedWarning(
+        "faulty_channel",
+        f"{log.name}: tau_{joint} clips at {level:.4g} in {share:.2g} % of the samples, first at t = {log.t[runs[0].start]:.4g} "
+        f"s: it is constant with noise there, although the motion requires {excess:.2g} more on average. Forces and parameters "
+        "are biased. Widen the range of the sensor or amplifier, or record a gentler motion.",
+    )
+
+
+def _predict_force(log: Log, tau: NDArray[np.float64], use: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the force (N,) that the motion of all joints requires, by least squares over the samples to use (N,)."""
+    columns, parts = [np.ones(log.n_samples)], []
+    for joint in log.joints("q"):
+        q, v = log.channels[f"q_{joint}"], compute_velocities(log, "q", joint)
+        parts += [np.sin(q), np.cos(q)]
+        columns += [differentiate(v, log.dt), v, np.sign(v)]
+    columns += parts + [one * other for k, one in enumerate(parts) for other in parts[k + 1 :]]
+    X = np.column_stack(columns)
+    return X @ np.linalg.lstsq(X[use], tau[use], rcond=None)[0]
+
+
+MIN_SLIP_RATIO = 10.0
+"""Size of a slip over the sixth largest departure of a step from the steps around it; an encoder slips a few times at most."""
+
+MIN_SLIP_COUNTS = 3.0
+"""Least size of a slip in counts of its encoder."""
+
+MIN_SLIP_SHARE = 1e-3
+"""Least size of a slip, as a share of the joint's range."""
+
+LOST_STEPS = np.array([-1, 1, 2, 3, 4, 5])
+"""Steps that a repeated sample or lost samples add, to within a fourth of a step."""
+
+
+def find_slip(log: Log, joint: str) -> CodedWarning | None:
+    """Return a warning about positions that step against the motion before and after, else None.
+
+    A coupling or an encoder that slips moves the position within one sample, while the steps on both sides go on alike. An impact
+    changes the steps on one side; lost samples make a whole number of steps.
+    """
+    q = log.channels[f"q_{joint}"]
+    step = np.diff(q)
+    if len(step) < 100 or find_jumps(q).size:
+        return None
+    before, after = (step[:-6] + step[1:-5]) / 2, (step[5:-1] + step[6:]) / 2
+    off = np.stack([step[3:-3] - before, step[3:-3] - after])
+    kept = step[2:-4] + step[3:-3] + step[4:-2] - 1.5 * (before + after)  # a single wrong reading comes back
+    size = np.abs(off).min(axis=0)
+    size = np.where((off[0] * off[1] > 0) & (kept * off[0] > 0) & (np.abs(kept) > size / 2), size, 0.0)
+    usual = float(np.sort(size)[-6])
+    least = max(
+        MIN_SLIP_RATIO * usual,
+        MIN_SLIP_COUNTS * float(estimate_quantisation_step(q)),
+        MIN_SLIP_SHARE * float(np.ptp(q)),
+    )
+    steps = off.mean(axis=0) / np.where(before + after == 0, np.inf, (before + after) / 2)
+    lost = np.any(np.abs(steps[:, None] - LOST_STEPS) < 0.25, axis=1)
+    even = np.convolve(np.diff(log.t) < 1.5 * log.dt, np.ones(7), "valid") > 6  # none of the seven steps is a gap
+    found = np.flatnonzero((size > least) & even & ~lost)
+    if not found.size or usual == 0:
+        return None
+    at = found[0] + 3
+    return CodedWarning(
+        "faulty_channel",
+        f"{log.name}: q_{joint} steps by {off[:, found[0]].mean():+.3g} within one sample after t = {log.t[at]:.6g} s, while the "
+        f"joint moves on as before: the encoder or its coupling slipped{_count_more(found.size)}. Cut the log there, and use the "
+        "parts as two logs; their zeros differ.",
+    )
+
+
+def _count_more(n: int) -> str:
+    return f" ({n} times in the log)" if n > 1 else ""
+
+
+MIN_STUCK_PERIODS = 4
+"""Least number of a bit's periods in the range of an encoder: elsewhere its motion alone may avoid half of a period."""
+
+MIN_BACKWARD = 3
+"""Least number of steps against the motion of half a bit's size or more; a coarse encoder steps along the motion."""
+
+
+def find_stuck_bit(log: Log, joint: str) -> CodedWarning | None:
+    """Return a warning about an encoder one of whose bits never changes, else None.
+
+    The counts modulo 2^(k+1) of a moving joint take all values. If bit k is stuck they take one half of them, and the position
+    goes back by 2^k counts where a carry is lost.
+    """
+    q = log.channels[f"q_{joint}"]
+    step = float(estimate_quantisation_step(q))
+    if not step:
+        return None
+    counts = np.round((q - q.min()) / step).astype(np.int64)
+    steps = np.diff(counts)
+    way = np.sign(median_filter(steps, 5))
+    for k in range(2, 40):
+        period = 2 ** (k + 1)
+        if MIN_STUCK_PERIODS * period > counts.max():
+            return None
+        seen = np.unique(counts % period)
+        widest = int(np.diff(np.append(seen, seen[0] + period)).max())
+        back = -way * steps
+        if widest > period // 2 and np.count_nonzero((back >= period // 4) & (back <= period)) >= MIN_BACKWARD:
+            return CodedWarning(
+                "faulty_channel",
+                f"{log.name}: a bit of q_{joint} is stuck: the position takes only one half of the values in each "
+                f"{period * step:.4g}, and jumps back by up to {period // 2 * step:.4g} against the motion. Positions are wrong "
+                "by up to that; look at the encoder, its cable and the decoding of its bits.",
+            )
+    return None
 
 
 def check_motion(log: Log, others: Sequence[Log] = ()) -> tuple[list[CheckFinding], dict[str, Any]]:

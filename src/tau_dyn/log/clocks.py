@@ -180,6 +180,48 @@ def find_day_numbers(t: NDArray[np.float64]) -> bool:
     return step < 1.0 / MAX_RATE_HZ and (dated or short)
 
 
+_COUNTERS = (2.0**16, 2.0**32)
+"""Ranges of the counters that microcontrollers use as clocks."""
+
+_WRAP_STEPS = 3.0
+"""Largest distance from a counter's ends, in steps of the clock, at which it is taken to restart."""
+
+
+def unwrap_counter(t: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Return a clock (N,) whose counter restarts at its end as a rising one, and the counter's range; 0 without a restart."""
+    known = np.flatnonzero(np.isfinite(t))
+    steps = np.diff(t[known])
+    back = steps < 0
+    if not back.any() or back.mean() > 0.1:
+        return t, 0.0
+    near = _WRAP_STEPS * float(np.median(steps[~back]))
+    before, after = t[known][:-1][back], t[known][1:][back]
+    for size in _COUNTERS:
+        for low in (0.0, -size / 2):
+            if np.all((before >= low + size - near) & (before < low + size) & (after >= low) & (after <= low + near)):
+                risen = t.copy()
+                risen[known[1:]] += size * np.cumsum(back)
+                return risen, size
+    return t, 0.0
+
+
+_SECONDS_NAME = re.compile(r"(.*?)(?:sec|secs|seconds)", re.IGNORECASE)
+_NANOSECONDS = ("nanosec", "nsec", "nanosecs", "nsecs", "nanoseconds")
+
+
+def find_split_clock(columns: Sequence[str]) -> tuple[str, str] | None:
+    """Return the columns of whole seconds and of nanoseconds of a clock that has both, as stamps of ROS; None without them."""
+    known = {column.lower(): column for column in columns}
+    for column in columns:
+        found = _SECONDS_NAME.fullmatch(column)
+        if found is None or column.lower().endswith(_NANOSECONDS):
+            continue
+        rest = next((known[n] for word in _NANOSECONDS if (n := f"{found[1]}{word}".lower()) in known), None)
+        if rest is not None:
+            return column, rest
+    return None
+
+
 class Clocked(NamedTuple):
     """Channels (N,) of one clock [s], and where they come from."""
 

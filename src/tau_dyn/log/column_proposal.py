@@ -26,6 +26,7 @@ from tau_dyn.log.clocks import (
     Clock,
     describe_coarse_text,
     find_day_numbers,
+    find_split_clock,
     measure_coarse_rate,
     read_text_clock,
 )
@@ -283,6 +284,10 @@ def _propose_clock(
 ) -> tuple[NDArray[np.float64] | None, _Draft]:
     """Return the times (N,) [s], None if there is no clock, and the clock's line."""
     recorded, name = _Recorded(values, table.units, None), table.name
+    if (split := find_split_clock(tuple(values))) is not None:
+        times = values[split[0]] - values[split[0]][0] + 1e-9 * values[split[1]]
+        if np.all(np.diff(times) > 0):
+            return times, _Draft({"t": _build_entry(split[0], 1.0)}, [])
     rising = [c for c, x in values.items() if x.size > 1 and np.all(np.diff(x) > 0)]
     named = [c for c in values if CLOCKS & set(split_words(c)[:1] + split_words(c)[-2:])]
     column = next((c for c in named if c in rising), None)

@@ -43,7 +43,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from tau_dyn.log.check_motion import find_dead_force, find_moving_samples
+from tau_dyn.log.check_motion import find_clipped_force, find_dead_force, find_moving_samples, find_slip, find_stuck_bit
 from tau_dyn.log.filtering import estimate_quantisation_step
 from tau_dyn.log.log import Log
 from tau_dyn.log.resample import examine_clock, fill_short_gaps, find_true_runs, interpolate
@@ -540,6 +540,13 @@ def _frozen_sentence(log: Log, frozen: FrozenStretch) -> str:
     )
 
 
+def _find_faulty_channels(log: Log, joints: Sequence[str]) -> Repair:
+    """Warn of encoders that slip or have a stuck bit and of forces that clip; all remain in the data."""
+    found = [find_stuck_bit(log, joint) or find_slip(log, joint) for joint in joints]
+    found += [find_clipped_force(log, joint) for joint in joints if log.has("tau", [joint])]
+    return Repair(log, [warning for warning in found if warning])
+
+
 def _find_doubled_channels(log: Log, joints: Sequence[str]) -> Repair:
     """Warn of a joint's channel that equals another joint's in every sample, while their other channels differ."""
     warnings = []
@@ -591,7 +598,15 @@ def _fill_gaps(log: Log, joints: Sequence[str]) -> Repair:
     return Repair(filled, [RepairedWarning("lost_samples", sentence)])
 
 
-_STEPS = (_find_doubled_channels, _mend_updates, _leave_out_frozen, _mend_samples, _mend_dropouts, _fill_gaps)
+_STEPS = (
+    _find_doubled_channels,
+    _mend_updates,
+    _leave_out_frozen,
+    _mend_samples,
+    _mend_dropouts,
+    _fill_gaps,
+    _find_faulty_channels,
+)
 """Repairs in their order: a low update rate looks like lost samples, and repeated rows look like both."""
 
 _REPAIRED: WeakKeyDictionary[Log, dict[tuple[str, ...], Repair]] = WeakKeyDictionary()

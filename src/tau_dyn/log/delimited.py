@@ -139,6 +139,8 @@ def _lay_out(name: str, text: str, foreign: bool) -> _Layout:
         header, first_row = [str(k + 1) for k in range(len(header))], at
     else:
         header = [cell or str(k + 1) for k, cell in enumerate(header)] if foreign else header
+        if not header[0] and _are_row_numbers(lines[first_row:], separator):
+            header[0] = "1"
         _check_header(name, at + 1, header)
     kept = [i for i in range(first_row, len(lines)) if lines[i].strip(_EMPTY)]
     if not kept:
@@ -146,9 +148,22 @@ def _lay_out(name: str, text: str, foreign: bool) -> _Layout:
             "too_little_data", f"{name} ends after its header in line {at + 1}; a log needs one line a sample below it."
         )
     rows = [lines[i] for i in kept]
+    if first_row > at and lines[at] in rows:
+        again = kept[rows.index(lines[at])] + 1
+        raise InputError(
+            "file_format",
+            f"{name}, line {again} repeats the header: recordings were joined there; pass them as two files.",
+        )
     return _Layout(
         name, separator, header, at + 1, rows, [i + 1 for i in kept], ends_with_newline=not lines[-1].strip()
     )
+
+
+def _are_row_numbers(lines: list[str], separator: str) -> bool:
+    """Return whether the first cells of rows are whole numbers that rise by one, as the index that pandas writes."""
+    first = [line.partition(separator)[0].strip().strip('"') for line in lines if line.strip(_EMPTY)]
+    numbers = [int(cell) for cell in first if cell.isdecimal() and len(cell) < 16]
+    return bool(first) and len(numbers) == len(first) and numbers == list(range(numbers[0], numbers[0] + len(numbers)))
 
 
 def _begins_table(line: str) -> bool:

@@ -26,8 +26,10 @@ from tau_dyn.log.clocks import (
     Clocked,
     describe_coarse_text,
     find_day_numbers,
+    find_split_clock,
     join_clocks,
     read_text_clock,
+    unwrap_counter,
 )
 from tau_dyn.log.column_map import ColumnMap, Source
 from tau_dyn.log.column_names import (
@@ -293,6 +295,9 @@ def _read_clock(table: Table, source: Source | None) -> Clock:
         InputError: There is no clock, or a cell is neither a number nor a time.
     """
     column = "t" if source is None else source.column
+    split = find_split_clock(tuple(table.cells))
+    if split and column not in table.cells and source is None or split and column == split[0]:
+        return _read_split_clock(table, *split)
     if column not in table.cells:
         raise InputError(
             "missing_column",
@@ -322,7 +327,18 @@ def _read_clock(table: Table, source: Source | None) -> Clock:
         )
         first = numbers[np.isfinite(numbers)][0]
         return Clock((numbers - first) * SECONDS_A_DAY, round(first * SECONDS_A_DAY * 1e9), remark)
-    return Clock(scale * numbers + offset)
+    numbers, size = unwrap_counter(numbers)
+    remark = (
+        f"{table.name}: the counter of column {column} restarts at {size:.0f}, which is added there." if size else ""
+    )
+    return Clock(scale * numbers + offset, remark=remark)
+
+
+def _read_split_clock(table: Table, seconds: str, nanoseconds: str) -> Clock:
+    """Return the clock of a column of whole seconds and one of nanoseconds."""
+    whole, part = table.numbers(seconds), table.numbers(nanoseconds)
+    remark = f"{table.name}: {seconds} and {nanoseconds} are the clock; t is in seconds from the first whole second."
+    return Clock(whole - whole[0] + 1e-9 * part, round(whole[0]) * 10**9, remark)
 
 
 EPISODE = "episode_index"
@@ -482,6 +498,8 @@ def _build(
         )
         for column in lost
     ]
+    parts, markers = _clear_markers(parts, used)
+    said += markers
     channels = {c: x for c, x in parts[0].channels.items() if c not in lost}
     t, channels, more = _join(parts, channels, used.difference(lost))
     if map_ is not None:
@@ -489,6 +507,42 @@ def _build(
     digest = compute_joint_sha256(table.sha256 for table in tables.values())
     origin = Origin(map_, tuple(lost))
     return Log(t, channels, main.name, digest, tuple(dict.fromkeys((*said, *more))), origin)
+
+
+MARKER_RATIO = 10.0
+"""Size of a marker of missing readings over the largest other value of its column."""
+
+MIN_MARKER = 99.0
+"""Smallest marker: 99, -999, 9999 and the ends of whole numbers of 16 or 32 bits are common."""
+
+
+def _clear_markers(parts: Sequence[_Part], used: frozenset[str]) -> tuple[list[_Part], list[CodedWarning]]:
+    """Return parts in which markers of missing readings are NaN, and a remark for each column that has one."""
+    cleared, remarks = [], []
+    for part in parts:
+        found = {c: v for c, x in part.channels.items() if c in used and (v := _find_marker(x)) is not None}
+        remarks += [
+            CodedWarning(
+                "samples_left_out",
+                f"{part.table.name}: {c} is {v:.0f} in {count(int(np.sum(part.channels[c] == v)), 'sample')}, "
+                f"more than {MARKER_RATIO:g} times as large as all others: a marker of missing readings, which count as missing.",
+            )
+            for c, v in found.items()
+        ]
+        blank = {c: np.where(part.channels[c] == v, np.nan, part.channels[c]) for c, v in found.items()}
+        cleared.append(part._replace(channels=part.channels | blank))
+    return cleared, remarks
+
+
+def _find_marker(x: NDArray[np.float64]) -> float | None:
+    """Return the whole number that stands for missing readings in a column (N,), None if there is none."""
+    known = x[np.isfinite(x)]
+    for value in (known.min(), known.max()) if known.size else ():
+        rest = known[known != value]
+        is_rare = known.size - rest.size < rest.size
+        if is_rare and value == round(value) and abs(value) >= max(MIN_MARKER, MARKER_RATIO * np.abs(rest).max()):
+            return float(value)
+    return None
 
 
 def _join(
@@ -579,12 +633,19 @@ def refuse_signals_in_rows(table: Table) -> None:
             )
 
 
+AN_HOUR_S = 3600.0
+"""Step back of local time when summer time ends [s]."""
+
+
 def _check_clock(table: Table, t: NDArray[np.float64]) -> None:
     backwards = np.flatnonzero(np.diff(t) <= 0.0)
     if not backwards.size:
         return
     row = int(backwards[0]) + 1
-    if t[row] == t[row - 1]:
+    back = t[row - 1] - t[row]
+    if abs(back - AN_HOUR_S) < 3 * abs(np.median(np.diff(t))):
+        what = "the clock goes back by one hour, as local time does when summer time ends; log in UTC, or add 3600 s from there."
+    elif t[row] == t[row - 1]:
         what = f"t = {_seconds(t[row])} s occurs twice; every sample needs a later time. Rounded? Write more digits."
     else:
         what = (

@@ -220,3 +220,12 @@ def test_forces_that_swing_between_the_drives_limits_are_told(l1, monday, share:
     assert {get_code(w) for w in found} == told
     assert all("cart2 is at its limit" in w for w in found)
     assert is_diagnosis_invalid(found) is bool(told)  # what is left is chosen by the force's own noise
+
+
+def test_forces_beyond_the_drives_limit_are_in_another_unit(l1, monday) -> None:
+    """No drive exceeds its limit: the advice is the unit, not a gentler motion."""
+    scale = 10 * float(l1.effort_limit[1]) / np.abs(monday.channels["tau_cart2"]).max()
+    log = monday.with_channels(tau_cart2=scale * monday.channels["tau_cart2"])
+    (said,) = [w for w in check_integrity(l1, [log]) if get_code(w) == "force_at_limit"]
+    assert "cart2 is beyond its limit" in said and "up to 10 times" in said and "unit and scale of tau_cart2" in said
+    assert "gentler" not in said

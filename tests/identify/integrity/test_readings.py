@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from tau_dyn.evidence import ReadingFit, ReadingTest
@@ -17,6 +18,7 @@ from tau_dyn.identify.integrity.wiring_alternatives import Rewiring
 from tau_dyn.log import Log
 from tau_dyn.mechanism import build_mechanism
 from tau_dyn.message_codes import get_code
+from tau_dyn.robot import Robot, load_robot_from_urdf
 from tau_dyn.simulate import build_named_motion
 
 JOINTS = ("shoulder", "elbow")
@@ -86,6 +88,40 @@ def test_forces_without_gravity_are_named(two_link, arm_log) -> None:
 def test_forces_without_the_bodies_are_named(two_link, arm_log) -> None:
     """Only friction is left of forces from which a controller subtracted its model."""
     found = check_against_robot(two_link, [less(arm_log, compute_nominal(two_link, arm_log, 1.0))])
+    assert "model_subtracted" in {get_code(w) for w in found}
+
+
+def build_light_forearm() -> Robot:
+    """Return two rods in a vertical plane, 0.4 and 0.3 m long, of 3 and 0.4 kg."""
+    parts = ['<robot name="rods"><link name="base_link"/>']
+    for name, joint, parent, at, mass, length in (
+        ("upper_link", "shoulder", "base_link", 0.0, 3.0, 0.4),
+        ("lower_link", "elbow", "upper_link", 0.4, 0.4, 0.3),
+    ):
+        across = mass * length**2 / 12
+        parts.append(
+            f'<link name="{name}"><inertial><origin xyz="{length / 2} 0 0"/><mass value="{mass}"/><inertia ixx="1e-4" ixy="0" '
+            f'ixz="0" iyy="{across}" iyz="0" izz="{across}"/></inertial></link><joint name="{joint}" type="revolute"><origin '
+            f'xyz="{at} 0 0"/><parent link="{parent}"/><child link="{name}"/><axis xyz="0 1 0"/>'
+            '<limit lower="-3" upper="3" velocity="5" effort="90"/></joint>'
+        )
+    return load_robot_from_urdf("".join(parts) + "</robot>", "rods")
+
+
+def test_a_subtracted_model_may_carry_a_payload_that_is_not_there(make) -> None:
+    """The controller expects a gripper: what is left is a negative mass, which no spring imitates, and friction."""
+    robot = build_light_forearm()
+    truth = build_model(robot, "symmetric")
+    truth = truth.with_values(dict.fromkeys(truth.effect_parameters.names, 0.5))
+    log = make.recorded(truth, build_named_motion("fourier", truth, 20.0, 1), force_noise=0.02, encoder_noise=1e-6)
+    loaded = robot.model.copy()
+    gripper = pin.SE3(np.eye(3), np.array([0.3, 0.0, 0.0]))
+    loaded.appendBodyToJoint(loaded.getJointId("elbow"), pin.Inertia(0.4, np.zeros(3), 1e-4 * np.eye(3)), gripper)
+    data, q = loaded.createData(), log.joint("q", JOINTS)
+    v = np.gradient(q, log.dt, axis=0)
+    rows = zip(q, v, np.gradient(v, log.dt, axis=0), strict=True)
+    expected = np.array([pin.rnea(loaded, data, *row) for row in rows])
+    found = check_against_robot(robot, [less(log, expected)])
     assert "model_subtracted" in {get_code(w) for w in found}
 
 

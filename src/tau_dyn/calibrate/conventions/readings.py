@@ -47,6 +47,11 @@ class PoseReading:
     acts_on: Literal["joints", "positions", "orientations", "poses"] = "positions"
 
     @property
+    def is_format(self) -> bool:
+        """Whether it is the meaning of the orientation's numbers, which every other change of poses needs."""
+        return self.acts_on == "orientations" and self.cause != "inverse_poses"
+
+    @property
     def place(self) -> tuple[str, tuple[str, ...]]:
         """The cause and its joints; a reading has at most one change for each."""
         return self.cause, self.joints
@@ -83,7 +88,10 @@ def apply_reading_alike(reading: Reading, poses: PoseSet) -> PoseSet:
 
 
 def list_readings(poses: PoseSet, joints: Sequence[str], units: Sequence[str], *, turns: bool) -> list[Reading]:
-    """Return the readings of one cause each.
+    """Return the readings of one cause each, and inverse poses in each format of orientations.
+
+    The product of an inverse and a roll of a quaternion's four numbers is a turn of both frames (both have determinant -1 in
+    four dimensions), so that orientations do not show either of the two changes alone.
 
     Args:
         poses: Measured poses.
@@ -98,10 +106,17 @@ def list_readings(poses: PoseSet, joints: Sequence[str], units: Sequence[str], *
         *_list_unit_changes(),
         *_list_shifts(poses),
     ]
-    single += _list_orientation_changes(poses) if oriented else []
+    turned = _list_orientation_changes(poses) if oriented else []
+    single += turned
+    inverse = [change for change in turned if change.acts_on == "poses"]
+    pairs = [(change, other) for change in turned if change.is_format for other in inverse]
     signs = [_reverse(joints, k) for k in range(len(joints))]
     sizes = range(2, len(joints) + 1) if len(joints) <= _MAX_JOINTS_FOR_ALL_SIGNS else ()
-    return [*((change,) for change in [*signs, *single]), *(some for n in sizes for some in combinations(signs, n))]
+    return [
+        *((change,) for change in [*signs, *single]),
+        *pairs,
+        *(some for n in sizes for some in combinations(signs, n)),
+    ]
 
 
 def _reverse(joints: Sequence[str], k: int) -> PoseReading:

@@ -274,9 +274,11 @@ def find_reading(
 
 
 def _join(base: Reading, more: Reading) -> Reading | None:
-    """Return a reading with more changes, None if it already changes the same place."""
+    """Return a reading with more changes, the format of orientations first; None if it already changes the same place."""
     places = {change.place for change in base}
-    return None if any(change.place in places for change in more) else (*base, *more)
+    if any(change.place in places for change in more):
+        return None
+    return tuple(sorted((*base, *more), key=lambda change: not change.is_format))
 
 
 def _accept(

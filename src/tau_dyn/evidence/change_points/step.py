@@ -29,6 +29,8 @@ BLOCKS_TOGETHER = (1, 2, 4)
 """Blocks of 2 s joined for the scatter: a residual that repeats with the motion is correlated over its period, up to 8 s."""
 MIN_SCATTER_BLOCKS = 8
 """Joined blocks from which their scatter is used; fewer do not estimate a variance."""
+N_PULSE_TIMES = 40
+"""Times between whose pairs a change is tried that ends within the log; both are refined afterwards."""
 LEVEL = 1e-6
 """Significance level of any change over all logs of one fit. It is stricter than the level of a cause: ten blocks of a residual
 with structure have heavier tails than their F distribution, and a true change exceeds the bound by orders of magnitude."""
@@ -103,6 +105,36 @@ def select_hypothesis(
         merit = float(T[k]) - size * np.log(len(white.y))
         if best is None or merit > best[0]:
             best = merit, hypothesis, float(np.mean(_find_gap(white, hypothesis.output, starts[k])))
+    return None if best is None else best[1:]
+
+
+def select_pulse(
+    white: OrderedRows, hypotheses: Sequence[Hypothesis], n_hypotheses: int
+) -> tuple[Hypothesis, float, float] | None:
+    """Return the hypothesis whose columns act from one time to another with the largest statistic, and both times [s].
+
+    None if it would not be significant even with independent noise in the rows.
+    """
+    best: tuple[float, Hypothesis, float, float] | None = None
+    for hypothesis in (one for one in hypotheses if one.columns):
+        starts = _list_times(white, hypothesis.output)
+        starts = starts[:: max(1, -(-len(starts) // N_PULSE_TIMES))]
+        if len(starts) < 2:
+            continue
+        C = white.make_rows(hypothesis)
+        first, last = np.triu_indices(len(starts), 1)
+        sums = (_sum_after(starts, C, x) for x in ((white.y - white.fit)[:, None], white.Q, C))
+        s, A, D = (x[first] - x[last] for x in sums)
+        raw, size = np.diagonal(D, axis1=1, axis2=2), C.shape[1]
+        G = D - A @ A.swapaxes(1, 2)
+        T = compute_score_statistics(s, G, raw, np.zeros(size, bool), MIN_UNABSORBED_SHARE)[:, 0]
+        k = int(np.argmax(T))
+        if n_hypotheses * len(first) * stats.chi2.sf(T[k], size) > LEVEL:
+            continue
+        merit = float(T[k]) - size * np.log(len(white.y))
+        if best is None or merit > best[0]:
+            ends = (float(white.t[starts[first[k]]]), float(white.t[starts[last[k]]]))
+            best = merit, hypothesis, *ends
     return None if best is None else best[1:]
 
 

@@ -135,6 +135,8 @@ def make_excerpt(robot: Robot, logs: Sequence[Log], exclude: tuple[str, ...] = (
     log = max(fit, key=lambda piece: piece.duration)
     if log.duration > MAX_DURATION_S:
         middle, half = log.n_samples // 2, int(MAX_DURATION_S / 2 / log.dt)
+        if half == 0:  # a clock in another unit: steps of minutes and more
+            return None
         log = log.window(max(0, middle - half), middle + half)
     try:
         preparation = choose_preparation(robot, [log], exclude)

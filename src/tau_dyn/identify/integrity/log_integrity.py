@@ -35,6 +35,7 @@ SPOILING = frozenset(
         "lost_samples",
         "repeated_samples",
         "force_at_limit",
+        "faulty_channel",
         "updated_less_often",
     }
 )
@@ -49,6 +50,9 @@ LIMIT_REACH_S = 0.1
 
 MAX_NEAR_LIMIT = 0.5
 """Share of such samples above which a log gives a warning: the noise then selects the remaining samples, which is a bias."""
+
+MAX_BEYOND_LIMIT = 1.2
+"""Force over its limit above which the drive is not at its limit: sensors are off and overshoot by less."""
 
 MAX_FOUND = 100
 """Number of logs whose faults are cached; the oldest is dropped first."""
@@ -95,22 +99,35 @@ def _against_robot(
 
 
 def _list_at_limits(robot: Robot, log: Log) -> list[CodedWarning]:
-    """Return the joints whose forces are at their drives' limits so often that little is left between."""
+    """Return the joints whose forces are at their drives' limits, or beyond them, so often that little is left between."""
     if not log.has("tau", robot.actuated):
         return []
     shut = find_excluded_samples(log, robot.actuated, robot.effort_limit, ())
     near = widen(shut, int(np.ceil(LIMIT_REACH_S * log.rate_hz))).mean(axis=0)
-    told = zip(robot.actuated, robot.effort_limit, robot.force_units, 100 * shut.mean(axis=0), near, strict=True)
+    largest = np.abs(log.joint("tau", robot.actuated)).max(axis=0) / robot.effort_limit
+    told = zip(robot.actuated, robot.effort_limit, robot.force_units, shut.mean(axis=0), near, largest, strict=True)
     return [
-        CodedWarning(
-            "force_at_limit",
-            f"{log.name}: the force of {joint} is at its limit of {limit:g} {unit} in {share:.0f} % of the samples, and "
-            f"{100 * part:.0f} % are within {LIMIT_REACH_S:g} s of one; these are left out. Record a gentler motion, or "
-            "mend the limit in the robot file",
-        )
-        for joint, limit, unit, share, part in told
+        CodedWarning("force_at_limit", f"{log.name}: {_describe_limit(joint, f'{limit:g} {unit}', share, part, ratio)}")
+        for joint, limit, unit, share, part, ratio in told
         if part > MAX_NEAR_LIMIT
     ]
+
+
+def _describe_limit(joint: str, limit: str, share: float, near: float, ratio: float) -> str:
+    """Return how often a joint's force is at its limit, or beyond it, where the limit or the force's unit is wrong."""
+    left_out = (
+        f"in {100 * share:.0f} % of the samples, and {100 * near:.0f} % are within {LIMIT_REACH_S:g} s of one; these are "
+        "left out"
+    )
+    if ratio > MAX_BEYOND_LIMIT:
+        return (
+            f"the force of {joint} is beyond its limit of {limit}, up to {ratio:.3g} times, {left_out}. No drive exceeds its "
+            f"limit: check the unit and scale of tau_{joint}, and the limit in the robot file"
+        )
+    return (
+        f"the force of {joint} is at its limit of {limit} {left_out}. Record a gentler motion, or mend the limit in the robot "
+        "file"
+    )
 
 
 def _against_columns(robot: Robot, log: Log, name: str, exclude: tuple[str, ...]) -> tuple[CodedWarning, ...]:

@@ -223,7 +223,8 @@ class Search:
             return None
         if reading.lacks != current.lacks and fit is not None:
             good = test.accepts_lack(fit, after) and test.is_good(after, reading.joints, reading.tau_from)
-            if not (good and is_part_missing(self._estimate_left(reading), is_single=len(reading.joints) == 1)):
+            single, of_bodies = len(reading.joints) == 1, reading.code == "model_subtracted"
+            if not (good and is_part_missing(self._estimate_left(reading), is_single=single, of_bodies=of_bodies)):
                 return None
         elif not test.accepts(fit, after):
             return None
