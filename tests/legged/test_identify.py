@@ -105,8 +105,8 @@ def test_coordinates_of_the_base_are_angles_without_jumps(walker, walk, log):
 
 def test_a_velocity_in_axes_of_the_world_is_told_from_one_of_the_base(walker, log):
     """Both look plausible; the pose says which it is, for motion and turning."""
-    assert not list_base_warnings(walker, add_velocity(log))
-    said = list_base_warnings(walker, add_velocity(log, of_world=True))
+    assert not list_base_warnings(walker, [add_velocity(log)])
+    said = list_base_warnings(walker, [add_velocity(log, of_world=True)])
     assert [w.code for w in said] == ["base_velocity_frame"] * 2
     assert not check_robot_log(add_velocity(log, of_world=True), walker).fit_for_use
     assert check_robot_log(add_velocity(log), walker).fit_for_use

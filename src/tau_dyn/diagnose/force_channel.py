@@ -11,10 +11,12 @@ import numpy as np
 from tau_dyn.diagnose.periodogram import LONG_PERIODS, build_displacement_terms, scan_periods
 from tau_dyn.diagnose.preparation import ForceTiming, compute_border_gap_s, find_timing
 from tau_dyn.diagnose.refitted_signals import RefittedModel, interpolate_smooth
+from tau_dyn.diagnose.walking import IMU_TURN, list_walking_causes
 from tau_dyn.effects import (
     DELIVERED,
     EFFECTS,
     GRAVITY_TURN,
+    REPORTED,
     SHIFTED_FORCE,
     DisplacementEffect,
     Effect,
@@ -35,7 +37,7 @@ from tau_dyn.evidence import (
     refuse_scarce,
     split_by_blocks,
 )
-from tau_dyn.identify import Preparation, PreparedSegment, prepare_segment
+from tau_dyn.identify import Preparation, PreparedSegment, leave_out_rare_joints, prepare_segment
 from tau_dyn.log import Log, decimate, lowpass
 from tau_dyn.model import COMPUTED, Model
 
@@ -118,6 +120,12 @@ class ForceChannel(Channel):
         return [float(begin[piece.log.name]) for piece in self.prepared]
 
 
+class WalkingForceChannel(ForceChannel):
+    """Forces of a walking robot: equations of its base, which hold the torques of all legs, and of lifted legs."""
+
+    has_unnamed_structures = False  # of an equation, which no single joint moves
+
+
 def _get_forces(motion: Motion) -> dict[str, np.ndarray]:
     """Return the predicted forces (n, na) of a motion by the name of the variable; an empty dict without a fitted model."""
     return {"tau": motion.signals["force"]} if "force" in motion.signals else {}
@@ -143,9 +151,13 @@ def prepare_segments(
 
 
 def build_force_regression(model: Model, prepared: Sequence[PreparedSegment], preparation: Preparation) -> Regression:
-    """Return the baseline's regression on prepared pieces."""
-    runs, robot = tuple(piece.run(model) for piece in prepared), model.robot
-    return Regression(model.parameters, robot.actuated, robot.force_units, runs, preparation)
+    """Return the baseline's regression on prepared pieces; equations of a walking robot's legs are named apart from joints."""
+    runs, robot = [piece.run(model) for piece in prepared], model.robot
+    runs = tuple(leave_out_rare_joints(runs, len(robot.base_coordinates)))
+    outputs = robot.actuated
+    if robot.base_coordinates:
+        outputs = (*robot.base_coordinates, *(f"{joint} (leg in the air)" for joint in robot.driven))
+    return Regression(model.parameters, outputs, robot.force_units, runs, preparation)
 
 
 def build_force_channel(
@@ -178,8 +190,9 @@ def build_force_channel(
     if timing is not None:
         each = zip(scene.joints, map(float, timing.delays), map(float, timing.lags), strict=True)
         scene = replace(scene, timing={joint: (delay, lag) for joint, delay, lag in each})
-    scene = _with_refits(scene, refitted)
-    channel = ForceChannel(
+    walks = bool(model.robot.base_coordinates)
+    scene = scene if walks else _with_refits(scene, refitted)
+    channel = (WalkingForceChannel if walks else ForceChannel)(
         "force",
         regression.outputs,
         regression.units,
@@ -187,7 +200,7 @@ def build_force_channel(
         regression.runs,
         parts,
         scene,
-        tuple(cls for cls in EFFECTS.values() if cls.cause),
+        list_walking_causes(model.robot) if walks else tuple(cls for cls in EFFECTS.values() if cls.cause),
         tuple(prepared),
         thinned,
         preparation,
@@ -292,7 +305,12 @@ def _with_timing(
     held: Sequence[bool],
     regression: Regression,
 ) -> tuple[Sequence[PreparedSegment], Regression, ForceTiming | None]:
-    """Return the pieces and their regression without the samples to which late forces shift a reversal, and the timing."""
+    """Return the pieces and their regression without the samples to which late forces shift a reversal, and the timing.
+
+    The equations of a walking robot hold several forces, so none has its own timing.
+    """
+    if model.robot.base_coordinates:
+        return prepared, regression, None
     trained = [run for run, out in zip(regression.runs, held, strict=True) if not out]
     timing = find_timing(trained, model.parameters.values, np.asarray(regression.parameters.free))
     if timing is None:
@@ -325,6 +343,8 @@ def _with_signals(
     """
     model = refitted.model
     m, t, mechanism = piece.motion, piece.log.t, model.mechanism
+    if model.robot.base_coordinates:
+        return _with_turns(piece, refitted, place)
     names = [s for s in _SIGNALS if s != "passive" or model.robot.loops]
     smooth = {name: partial(interpolate_smooth, piece, partial(COMPUTED[name], mechanism)) for name in names}
     known: dict[str, Callable[[], np.ndarray]] = {name: partial(m.signals.__getitem__, name) for name in m.signals}
@@ -365,6 +385,15 @@ def _with_signals(
     return replace(piece, motion=replace(m, **arrays, signals=LazySignals.changed(signals, _lay_samples_last)))
 
 
+def _with_turns(piece: PreparedSegment, refitted: RefittedModel, place: int) -> PreparedSegment:
+    """Return a piece of a walking robot with the turns of gravity and of its IMU; other forces of a model lack the ground's."""
+    known: dict[str, Callable[[], np.ndarray]] = {
+        name: partial(piece.motion.signals.__getitem__, name) for name in piece.motion.signals
+    }
+    known |= {GRAVITY_TURN: lambda: refitted.gravity_turns[place], IMU_TURN: lambda: refitted.imu_turns[place]}
+    return replace(piece, motion=replace(piece.motion, signals=LazySignals(known)))
+
+
 def _lay_samples_last(x: np.ndarray) -> np.ndarray:
     """Return an array (N, ...) with a joint's samples next to each other in memory, as effects and filters read them."""
     return np.moveaxis(np.ascontiguousarray(np.moveaxis(x, 0, -1)), -1, 0)
@@ -401,9 +430,11 @@ def _scene(
         trained=[part == TRAIN for part in parts],
         coupled=model.robot.coupled_pairs,
     )
-    force = np.max([np.abs(run.y_all).max(axis=0) for run in runs], axis=0)
-    inertia = np.max([np.diagonal(m.signals["inertia"], axis1=1, axis2=2).max(axis=0) for m in motions], axis=0)
-    robot = model.robot
+    robot, walks = model.robot, bool(model.robot.base_coordinates)
+    measured = [m.signals[REPORTED] for m in motions] if walks else [run.y_all for run in runs]
+    force = np.max([np.abs(x).max(axis=0) for x in measured], axis=0)
+    inertias = [model.mechanism.inertia(m.q) if walks else m.signals["inertia"] for m in motions]
+    inertia = np.max([np.diagonal(M, axis1=1, axis2=2).max(axis=0) for M in inertias], axis=0)
     ends = zip(robot.actuated, robot.effort_limit.tolist(), robot.velocity_limit.tolist(), strict=True)
     return replace(
         scene,

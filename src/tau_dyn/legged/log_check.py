@@ -172,7 +172,7 @@ def check_robot_log(log: Log, robot: Robot | None) -> LogCheck:
         findings.append(CheckFinding("ok", "base", f"{log.name} has orientation and position or velocity of the base."))
         findings += [
             CheckFinding("fault" if w.code == "base_velocity_frame" else "warning", "base", str(w), code=w.code)
-            for w in list_base_warnings(robot, log)
+            for w in list_base_warnings(robot, [log])
         ]
     return replace(checked, findings=tuple(findings))
 
@@ -208,8 +208,13 @@ def propose_robot_columns(path: str | Path, robot: Robot) -> ColumnProposal:
     )
 
 
-def list_base_warnings(robot: Robot, log: Log) -> list[CodedWarning]:
-    """Return warnings about feet and base velocity of a log with an orientation of the base."""
+def list_base_warnings(robot: Robot, logs: Sequence[Log | Recording]) -> list[CodedWarning]:
+    """Return warnings about feet and base velocity of logs with an orientation of the base; empty for a fixed base."""
+    here = [log for log in logs if isinstance(log, Log) and robot.base_coordinates]
+    return [warning for log in here for warning in _list_warnings(robot, log)]
+
+
+def _list_warnings(robot: Robot, log: Log) -> list[CodedWarning]:
     missing = [contact.frame for contact in robot.contacts if f"contact_{contact.frame}" not in log.channels]
     found = []
     if missing:
