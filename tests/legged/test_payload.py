@@ -16,7 +16,8 @@ from tau_dyn.monitor import identify_payload
 from tau_dyn.robot import INERTIAL, Robot
 
 MASS, CENTRE = 0.6, np.array([0.05, -0.03, 0.08])  # [kg], [m] in the frame of the link that carries it
-TORQUE_NOISE = 0.1  # [N m], far above the error of 200 samples a second where feet touch down
+TORQUE_NOISE = 0.1  # [N m], far above the error of 100 samples a second where feet touch down
+SECONDS, RATE_HZ = 30.0, 100.0
 
 
 def load(robot: Robot, link: str) -> Robot:
@@ -38,13 +39,13 @@ def add_noise(log: Log, robot: Robot, seed: int) -> Log:
 @pytest.fixture(scope="module")
 def empty(walker, walk) -> Log:
     """Return a walk without a load."""
-    return add_noise(walk.record(walker, 8.0, 1), walker, 1)
+    return add_noise(walk.record(walker, SECONDS, 1, rate_hz=RATE_HZ), walker, 1)
 
 
 @pytest.mark.parametrize("link", ["trunk", "hl_shank"])
 def test_a_body_on_trunk_or_leg_comes_back(walker, walk, empty, link):
     """Its mass to 5 % and its centre to 10 mm, within 4 standard errors; without a name it is on the trunk."""
-    loaded = add_noise(walk.record(load(walker, link), 8.0, 2), walker, 2)
+    loaded = add_noise(walk.record(load(walker, link), SECONDS, 2, rate_hz=RATE_HZ), walker, 2)
     found = identify_payload(walker, [empty], [loaded], link=None if link == "trunk" else link)
     assert found.link == link and found.differs
     assert_allclose(found.mass.values, MASS, rtol=0.05)
@@ -56,13 +57,13 @@ def test_a_body_on_trunk_or_leg_comes_back(walker, walk, empty, link):
 
 def test_two_walks_of_one_robot_carry_nothing(walker, walk, empty):
     """Another walk without a load differs by noise alone."""
-    found = identify_payload(walker, [empty], [add_noise(walk.record(walker, 8.0, 2), walker, 2)])
+    found = identify_payload(walker, [empty], [add_noise(walk.record(walker, SECONDS, 2, rate_hz=RATE_HZ), walker, 2)])
     assert not found.differs and abs(found.plain_mass) < 4 * found.mass.stderr[0]
 
 
 def test_the_command_takes_a_walker(walker, walker_file, walk, empty, tmp_path):
     """`payload --base floating` reads base and feet, and a walk without an orientation is refused."""
-    loaded = add_noise(walk.record(load(walker, "trunk"), 8.0, 2), walker, 2)
+    loaded = add_noise(walk.record(load(walker, "trunk"), SECONDS, 2, rate_hz=RATE_HZ), walker, 2)
     paths = tmp_path / "empty.csv", tmp_path / "loaded.csv"
     for log, path in zip((empty, loaded), paths, strict=True):
         log.to_csv(path)
