@@ -43,6 +43,9 @@ from tau_dyn.model import COMPUTED, Model
 
 VALUES_PER_COMBINATION = 3
 """Usable values for each base parameter that the training part determines; with fewer, a third of the noise is fitted."""
+VALUES_PER_LEG_COLUMN = 5
+"""Usable values of a leg's equation for each free column of the baseline. The noise of each equation is that of a fit of its own
+values to all columns and more; few values of a foot's short flights would seem to have no noise."""
 MIN_VALUES = 10
 """Usable values of each output in the other parts, which are compared with a fit and fit little: an rms is known to 22 %."""
 _INDEPENDENT = 1e-9
@@ -153,7 +156,8 @@ def prepare_segments(
 def build_force_regression(model: Model, prepared: Sequence[PreparedSegment], preparation: Preparation) -> Regression:
     """Return the baseline's regression on prepared pieces; equations of a walking robot's legs are named apart from joints."""
     runs, robot = [piece.run(model) for piece in prepared], model.robot
-    runs = tuple(leave_out_rare_joints(runs, len(robot.base_coordinates)))
+    least = VALUES_PER_LEG_COLUMN * int(model.parameters.free.sum())
+    runs = tuple(leave_out_rare_joints(runs, len(robot.base_coordinates), least))
     outputs = robot.actuated
     if robot.base_coordinates:
         outputs = (*robot.base_coordinates, *(f"{joint} (leg in the air)" for joint in robot.driven))

@@ -9,7 +9,18 @@ base, by an IMU that is mounted at an angle (`imu_misalignment`; `legged/misalig
 
 from __future__ import annotations
 
-from tau_dyn.effects import EFFECTS, GRAVITY_TURN, Effect, GravityDirection, PlausibleRange, Scene, format_amount
+from tau_dyn.effects import (
+    DELIVERED,
+    EFFECTS,
+    GRAVITY_TURN,
+    NO_EXPERIMENT,
+    SHIFTED_FORCE,
+    Effect,
+    GravityDirection,
+    PlausibleRange,
+    Scene,
+    format_amount,
+)
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot import Robot
 
@@ -17,8 +28,14 @@ IMU_TURN = "imu_turn"
 """Signal (N, na, 2) [N/rad or N m/rad]: change of the forces per turn of the base against its logged axes, about x and y."""
 _GIVEN = frozenset({"reversal", "temperature", "campaign", GRAVITY_TURN, IMU_TURN})
 """Signals of a walking robot that are not changed by forces of the ground."""
+_OF_JOINTS = frozenset(
+    {"force", "rigid_force", "load", "reducer_torque", "inertia", "weight_gradient", DELIVERED, SHIFTED_FORCE}
+)
+"""Signals of inverse dynamics, which lack the forces of the ground."""
 _OF_FORCE = "its law needs the force that the joint transmits, to which forces of the ground add"
 _OF_PERIOD = "its periods are searched in the equation of one joint, and these hold the forces of several"
+_NOT_SEARCHED = "it is not searched in the equations of a walking robot"
+_NO_JOINT = "no joint of a leg has such a part"
 _ON_A_STAND = "hold the trunk on a stand, feet in the air, and diagnose the legs with a fixed base"
 
 
@@ -61,13 +78,18 @@ def list_walking_causes(robot: Robot) -> tuple[type[Effect], ...]:
 
 def _adapt(cls: type[Effect], driven: tuple[str, ...]) -> type[Effect]:
     """Return a cause on driven joints, or on all coordinates together; untestable if forces of the ground change its law."""
-    refusal = _OF_PERIOD if cls.dense else "" if set(cls.needs) <= _GIVEN else _OF_FORCE
+    refusal = _OF_PERIOD if cls.dense else _OF_FORCE if _OF_JOINTS & set(cls.needs) else ""
+    known = set(cls.needs) <= _GIVEN
 
     def groups(_: type[Effect], scene: Scene) -> list[tuple[str, ...]]:
         return [group for group in cls.groups(scene) if set(group) <= set(driven) or group == scene.joints]
 
-    def untestable(_: type[Effect], scene: Scene) -> tuple[str, str] | None:
-        return cls.untestable(scene) if not refusal else (refusal, _ON_A_STAND)
+    def untestable(own: type[Effect], scene: Scene) -> tuple[str, str] | None:
+        if not own.groups(scene):
+            return _NO_JOINT, NO_EXPERIMENT
+        if refusal:
+            return refusal, _ON_A_STAND
+        return cls.untestable(scene) or (None if known else (_NOT_SEARCHED, _ON_A_STAND))
 
     own = {"groups": classmethod(groups), "untestable": classmethod(untestable)}
     return type(cls.__name__, (cls,), {**own, "__doc__": cls.__doc__})

@@ -144,11 +144,13 @@ def build_regression_of_pieces(
     return regression, kept
 
 
-def leave_out_rare_joints(runs: list[RegressionRun], n_base: int) -> list[RegressionRun]:
-    """Return the runs of a floating base without the joints of legs that are hardly ever in the air; others as they are."""
+def leave_out_rare_joints(
+    runs: list[RegressionRun], n_base: int, least: int = MIN_FLIGHT_SAMPLES
+) -> list[RegressionRun]:
+    """Return the runs of a floating base without joints of legs with fewer usable samples in the air; others as they are."""
     if not n_base:
         return runs
-    often = np.sum([run.usable.sum(axis=0) for run in runs], axis=0) >= MIN_FLIGHT_SAMPLES
+    often = np.sum([run.usable.sum(axis=0) for run in runs], axis=0) >= least
     often[:n_base] = True
     return [replace(run, usable=run.usable & often) for run in runs]
 
