@@ -18,7 +18,7 @@ from tau_dyn.legged import QUATERNION, complete_base
 from tau_dyn.log import Log
 
 SECONDS, RATE_HZ, TORQUE_NOISE = 45.0, 100.0, 0.1  # [s], [Hz], [N m]
-PEAK, SPEED = 0.3, 0.3  # [N m], [rad/s] of the Stribeck friction in one knee
+PEAK, SPEED = 0.3, 0.1  # [N m], [rad/s] of the Stribeck friction in one knee
 TURN = np.array([0.02, -0.015, 0.0])  # [rad] of the base against its logged axes
 
 

@@ -17,9 +17,9 @@ STEP_S = 1e-3
 def move(t: np.ndarray) -> np.ndarray:
     """Return coordinates (N, 18) of a walker that heads 70 degrees to the left, sways, tilts, turns and moves its legs."""
     middle = np.concatenate([[0.3, -0.2, 0.35, 1.2, 0.1, -0.15], np.tile([0.0, 0.6, -1.2], 4)])
-    size = np.concatenate([[0.03] * 3, [0.15] * 3, [0.1] * 12])
+    size = np.concatenate([[0.03] * 3, [0.3] * 3, [0.1] * 12])
     number = np.arange(18)
-    return middle + size * np.sin(2 * np.pi * (0.8 + 0.05 * number) * t[:, None] + number)
+    return middle + size * np.sin(2 * np.pi * (1.6 + 0.05 * number) * t[:, None] + number)
 
 
 @pytest.mark.parametrize("axis", [0, 1])

@@ -9,7 +9,7 @@ from functools import cache, partial
 import numpy as np
 
 from tau_dyn.diagnose.periodogram import LONG_PERIODS, build_displacement_terms, scan_periods
-from tau_dyn.diagnose.preparation import ForceTiming, compute_border_gap_s, find_timing
+from tau_dyn.diagnose.preparation import REVERSAL_GAP_PERIODS, ForceTiming, compute_border_gap_s, find_timing
 from tau_dyn.diagnose.refitted_signals import RefittedModel, interpolate_smooth
 from tau_dyn.diagnose.walking import IMU_TURN, list_walking_causes
 from tau_dyn.effects import (
@@ -419,6 +419,12 @@ def _scene(
     preparation: Preparation,
     campaigns: int,
 ) -> Scene:
+    slow, walks = preparation.speed_threshold, bool(model.robot.base_coordinates)
+    if (
+        walks
+    ):  # reversals stay in: no law of a speed that a joint passes within the gap of other robots shows next to them
+        hardness = np.sqrt(np.mean(np.concatenate([m.a for m in motions]) ** 2, axis=0))
+        slow = np.maximum(slow, hardness * REVERSAL_GAP_PERIODS / preparation.position_cutoff_hz)
     signals = find_shared_signals(motions)
     if "temperature" in signals and max(float(np.ptp(m.signals["temperature"])) for m in motions) < 0.5:
         signals -= {"temperature"}  # it never changed
@@ -426,7 +432,7 @@ def _scene(
         motions,
         model.robot.actuated,
         model.robot.force_units,
-        slow=preparation.speed_threshold,
+        slow=slow,
         cutoff_hz=preparation.force_cutoff_hz,
         duration=sum(float(run.t[-1] - run.t[0]) for run in runs),
         signals=signals,
@@ -434,7 +440,7 @@ def _scene(
         trained=[part == TRAIN for part in parts],
         coupled=model.robot.coupled_pairs,
     )
-    robot, walks = model.robot, bool(model.robot.base_coordinates)
+    robot = model.robot
     measured = [m.signals[REPORTED] for m in motions] if walks else [run.y_all for run in runs]
     force = np.max([np.abs(x).max(axis=0) for x in measured], axis=0)
     inertias = [model.mechanism.inertia(m.q) if walks else m.signals["inertia"] for m in motions]
