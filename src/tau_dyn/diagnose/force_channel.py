@@ -43,9 +43,9 @@ from tau_dyn.model import COMPUTED, Model
 
 VALUES_PER_COMBINATION = 3
 """Usable values for each base parameter that the training part determines; with fewer, a third of the noise is fitted."""
-VALUES_PER_LEG_COLUMN = 5
-"""Usable values of a leg's equation for each free column of the baseline. The noise of each equation is that of a fit of its own
-values to all columns and more; few values of a foot's short flights would seem to have no noise."""
+VALUES_PER_WALKING_COLUMN = 5
+"""Usable values of each equation of a walking robot for each column of the baseline, most of which act in every equation. The
+noise of an equation is that of a fit of its own values to them; few values, such as a foot's short flights, seem free of it."""
 MIN_VALUES = 10
 """Usable values of each output in the other parts, which are compared with a fit and fit little: an rms is known to 22 %."""
 _INDEPENDENT = 1e-9
@@ -156,7 +156,7 @@ def prepare_segments(
 def build_force_regression(model: Model, prepared: Sequence[PreparedSegment], preparation: Preparation) -> Regression:
     """Return the baseline's regression on prepared pieces; equations of a walking robot's legs are named apart from joints."""
     runs, robot = [piece.run(model) for piece in prepared], model.robot
-    least = VALUES_PER_LEG_COLUMN * int(model.parameters.free.sum())
+    least = VALUES_PER_WALKING_COLUMN * int(model.parameters.free.sum())
     runs = tuple(leave_out_rare_joints(runs, len(robot.base_coordinates), least))
     outputs = robot.actuated
     if robot.base_coordinates:
@@ -211,12 +211,13 @@ def build_force_channel(
     )
     others = MIN_VALUES * len(regression.outputs)
     rank = max(1, compute_determined_rank(regression, parts))
+    each = VALUES_PER_WALKING_COLUMN * len(model.robot.base_coordinates) if walks else VALUES_PER_COMBINATION
     refuse_scarce(
         channel,
-        (VALUES_PER_COMBINATION * rank, others, others),
+        (each * rank, others, others),
         "too little usable data is left",
         f"the logs hold {sum(p.log.duration for p in prepared):.3g} s",
-        "record a minute or more of motion in both directions, over several speeds",
+        f"record {'two minutes' if walks else 'a minute'} or more of motion in both directions, over several speeds",
     )
     return channel
 
