@@ -4,7 +4,8 @@ A joint's friction and drive are in these equations as they are in those of a fi
 transmits, such as load friction or a spring, is not: the ground adds to that force. Such causes are listed as untestable.
 
 Gravity may be turned against the world of the log, as on a slope that counts as level (`gravity_direction`), or against the
-base, by an IMU that is mounted at an angle (`imu_misalignment`; `legged/misalignment.py`). On one heading both are the same.
+base, by an IMU that is mounted at an angle (`imu_misalignment`; `legged/misalignment.py`). On one heading and at rest both are
+the same: only other headings, and accelerations, which turn with the IMU and not with a slope, tell them apart.
 """
 
 from __future__ import annotations
