@@ -1,4 +1,4 @@
-"""Causes of a walker's residual: friction of a leg, and gravity that its logged orientation does not show."""
+"""Causes of a walker's residual: which ones its equations can show, and gravity that its logged orientation does not show."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from tau_dyn.legged import QUATERNION, complete_base
 from tau_dyn.log import Log
 
 SECONDS, RATE_HZ, TORQUE_NOISE = 80.0, 50.0, 0.05  # [s], [Hz], [N m]
-PEAK, SPEED = 0.4, 0.15  # [N m], [rad/s] of the Stribeck friction in one knee
 TURN = np.array([0.02, -0.015, 0.0])  # [rad] of the base against its logged axes
 
 
@@ -35,24 +34,12 @@ def log(walker, walk) -> Log:
     return walk.record(walker, SECONDS, 1, rate_hz=RATE_HZ)
 
 
-def test_friction_of_a_knee_is_named_and_nothing_else(walker, walk, log):
-    """Stribeck friction of one knee acts in the six equations of the base; its size is 0.4 N m within 4 standard errors."""
-    _, _, v, _ = walk.move(walker, SECONDS, 1, RATE_HZ)
-    speed = v[:, walker.actuated.index("fl_knee")]
-    peak = PEAK * np.sign(speed) * np.exp(-((speed / SPEED) ** 2))
-    found = diagnose(walker, add_noise(log.with_channels(tau_fl_knee=log["tau_fl_knee"] + peak), walker, 1))
-    confirmed = [f for f in found.findings if f.status == "confirmed"]
-    assert found.verdict == "named" and [(f.cause, f.joints) for f in confirmed] == [("stribeck", ("fl_knee",))]
-    (size,) = (p for p in confirmed[0].parameters if p.name == "fl_knee.stribeck")
-    assert size.stderr is not None and abs(size.value - PEAK) < 4 * size.stderr
-    assert {u.cause for u in found.untestable} >= {"load_friction", "joint_zero", "cyclic_ripple"}
-
-
 def test_an_imu_at_an_angle_is_named(walker, log):
     """The base is 20 and -15 mrad off its logged axes: the angles come back to 3 mrad, and nothing else is confirmed."""
     turned = Rotation.from_quat(np.column_stack([log[name] for name in QUATERNION])) * Rotation.from_rotvec(-TURN)
     logged = log.with_channels(**dict(zip(QUATERNION, turned.as_quat().T, strict=True)))
     found = diagnose(walker, add_noise(logged, walker, 1))
+    assert {u.cause for u in found.untestable} >= {"load_friction", "joint_zero", "cyclic_ripple"}
     (named,) = (f for f in found.findings if f.status == "confirmed")
     assert found.verdict == "named" and named.cause == "imu_misalignment"
     assert_allclose([p.value for p in named.parameters], TURN[:2], atol=0.003)
