@@ -11,8 +11,6 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 
 from tau_dyn.cli import main
-from tau_dyn.diagnose.nominal import find_parameter_changes
-from tau_dyn.identify import identify
 from tau_dyn.log import Log
 from tau_dyn.monitor import identify_payload
 from tau_dyn.robot import INERTIAL, Robot
@@ -77,12 +75,3 @@ def test_the_command_takes_a_walker(walker, walker_file, walk, empty, tmp_path):
     channels = {name: x for name, x in loaded.channels.items() if name != "q_base_qw"}
     with raises_code("missing_column", "q_base_qw"):
         identify_payload(walker, [empty], [Log(loaded.t, channels, "lost")])
-
-
-def test_a_load_on_the_trunk_shows_against_the_file(walker, walk):
-    """One walk and trusted masses: a load on the trunk explains all differences, in the trunk's frame, its mass to 5 %."""
-    log = add_noise(walk.record(load(walker, "trunk"), SECONDS, 2, rate_hz=RATE_HZ), walker, 2)
-    found = identify(walker, log, model="symmetric")
-    (finding,) = find_parameter_changes(found.model, found.nominal, found.parameters, found.estimate)
-    assert (finding.cause, finding.joints) == ("payload", ("trunk",)) and "in the frame of trunk" in finding.sentence
-    assert abs(finding.parameters[0].value / MASS - 1) < 0.05
