@@ -1,6 +1,7 @@
 """Does identification of a walking robot find the masses and the friction that MuJoCo simulated?
 
-    python experiments/legged.py [--robots solo12 go2] [--seeds 5] [--noise 1] [--seconds 20] [--out DIR]
+    python experiments/legged.py [--what identify payload friction imu clean] [--robots solo12 go2] [--seeds 5] [--noise 1]
+        [--seconds 20] [--out DIR]
 
 In: quadrupeds of example-robot-data. MuJoCo is the witness: it gets the robot file with other masses (each body's by up to 10 %,
 the trunk's centre by up to 15 mm), Coulomb and viscous friction, rotor inertia and round feet on a floor, and a controller that
@@ -10,6 +11,10 @@ is held out. Sensors: encoders, torques, contact flags, and the base's pose as m
 Out: `legged.csv`, one row a robot and seed: errors of the total mass, of the trunk's centre (its first moment with the weights
 that hang on it, over its mass), of the friction of the legs' joints, also at 1 rad/s, the share of the base parameters within
 their 95 % intervals, and the held-out error. One run takes about a minute.
+
+`--what payload` puts a box of 5 % of the robot's mass on the trunk for a second set of logs, and compares it with what `payload`
+finds. `friction` adds Stribeck friction of half of the Coulomb friction to one joint, `imu` turns the logged orientation by 20
+and -15 mrad about the base's axes, `clean` does neither; the row lists what `diagnose` confirms.
 """
 
 from __future__ import annotations
@@ -17,6 +22,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 from importlib.metadata import files
+from itertools import product
 from pathlib import Path
 from xml.etree.ElementTree import Element, fromstring, tostring
 
@@ -26,8 +32,10 @@ import pandas as pd
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
+from tau_dyn.diagnose import diagnose
 from tau_dyn.identify import Identification, identify
 from tau_dyn.log import Log
+from tau_dyn.monitor import identify_payload
 from tau_dyn.robot import Robot, load_robot
 
 STEP_S = 2e-4  # [s] of MuJoCo and of the controller
@@ -99,6 +107,7 @@ GO2 = Quadruped(
     torque=0.1,
 )
 ROBOTS = {"solo12": SOLO12, "go2": GO2}
+WHAT = ("identify", "payload", "friction", "imu", "clean")
 
 
 def find_file(robot: Quadruped) -> Path:
@@ -132,6 +141,36 @@ def _change(inertial: Element, rng: np.random.Generator) -> None:
     centre = np.array([float(x) for x in origin.get("xyz", "0 0 0").split()])
     moved = centre + size * rng.uniform(-CENTRE_ERROR_M, CENTRE_ERROR_M, 3)
     origin.set("xyz", " ".join(map(repr, moved.tolist())))
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What a log hides.
+
+    Attributes:
+        joint: Joint with Stribeck friction; empty for none.
+        turn: Turn of the base against its logged axes (3,) [rad].
+    """
+
+    joint: str = ""
+    turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+PEAK_SHARE, PEAK_SPEED = 0.5, 0.5  # of Coulomb friction, and [rad/s]
+PAYLOAD_SHARE = 0.05  # of the robot's mass
+
+
+def add_box(urdf: str, link: str, mass: float, place: np.ndarray) -> str:
+    """Return a robot file's text with a box of 10 cm fixed to a link at a place (3,) [m]."""
+    inertia = mass * 0.1**2 / 6
+    numbers = f'ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"'
+    box = (
+        f'<link name="box"><inertial><mass value="{mass}"/><origin xyz="0 0 0"/><inertia {numbers}/></inertial></link>'
+    )
+    mount = f'<joint name="box_mount" type="fixed"><parent link="{link}"/><child link="box"/>'
+    return urdf.replace(
+        "</robot>", f'{box}{mount}<origin xyz="{" ".join(map(repr, place.tolist()))}"/></joint></robot>'
+    )
 
 
 def build_plant(robot: Quadruped, urdf: str) -> mujoco.MjModel:
@@ -226,6 +265,7 @@ def simulate(
     seconds: float,
     rng: np.random.Generator,
     noise: float,
+    fault: Fault = Fault(),
 ) -> Log:
     """Return the log of a motion in MuJoCo."""
     every = round(1 / (LOG_HZ * STEP_S))
@@ -247,10 +287,15 @@ def simulate(
     for n in range(len(fine)):
         tau = robot.gains[0] * (wanted[n] - data.qpos[at_q]) + robot.gains[1] * (rate[n] - data.qvel[at_v])
         data.ctrl[motors] = tau
+        if fault.joint:
+            k = model.driven.index(fault.joint)
+            v = data.qvel[at_v[k]]
+            data.ctrl[motors[k]] -= PEAK_SHARE * robot.coulomb * np.sign(v) * np.exp(-abs(v) / PEAK_SPEED)
         mujoco.mj_forward(plant, data)
         if n % every == 0:
             loads = _read_loads(plant, data, feet)
-            pose = np.concatenate([data.qpos[:3], data.qpos[[4, 5, 6, 3]]])
+            read = Rotation.from_quat(data.qpos[[4, 5, 6, 3]]) * Rotation.from_rotvec(np.negative(fault.turn))
+            pose = np.concatenate([data.qpos[:3], read.as_quat()])
             rows.append(np.concatenate([[fine[n]], pose, data.qpos[at_q], tau, loads]))
         mujoco.mj_step(plant, data)
     return _measure(robot, model, np.array(rows), gait, rng, noise)
@@ -336,32 +381,79 @@ def judge(robot: Quadruped, model: Robot, urdf: str, found: Identification) -> d
     }
 
 
-def run(name: str, seed: int, seconds: float, noise: float) -> dict[str, float | str]:
-    """Simulate and identify one robot."""
-    robot, rng = ROBOTS[name], np.random.default_rng(seed)
+def load_model(robot: Quadruped) -> Robot:
+    """Return what tau_dyn knows of a robot."""
     contacts = [f"{foot}={robot.radius}" for foot in robot.feet]
-    model = load_robot(find_file(robot), base="floating", contacts=contacts)
-    urdf = perturb(robot, rng)
+    return load_robot(find_file(robot), base="floating", contacts=contacts)
+
+
+def run_payload(name: str, seed: int, seconds: float, noise: float) -> dict[str, float | str]:
+    """Simulate one robot without and with a box, and find the box."""
+    robot, rng = ROBOTS[name], np.random.default_rng(seed)
+    model, urdf = load_model(robot), perturb(robot, rng)
+    total = sum(float(link.nominal[0]) for link in model.links)
+    mass, place = PAYLOAD_SHARE * total, rng.uniform([-0.08, -0.04, 0.05], [0.08, 0.04, 0.12])
+    sets = []
+    for text in (urdf, add_box(urdf, model.links[0].link, mass, place)):
+        plant = build_plant(robot, text)
+        sets.append([simulate(robot, model, plant, gait, seconds, rng, noise) for gait in ("sway", "trot")])
+    found = identify_payload(model, *sets)
+    return {
+        "payload_kg": mass,
+        "payload_error_percent_of_robot": 100 * (float(found.mass.values[0]) - mass) / total,
+        "payload_z": float((found.mass.values[0] - mass) / found.mass.stderr[0]),
+        "payload_centre_error_mm": 1e3 * float(np.linalg.norm(found.centre.values - place)),
+    }
+
+
+def run_diagnosis(name: str, seed: int, seconds: float, noise: float, what: str) -> dict[str, float | str]:
+    """Simulate one robot with a fault, and list the causes that `diagnose` confirms."""
+    robot, rng = ROBOTS[name], np.random.default_rng(seed)
+    model, urdf = load_model(robot), perturb(robot, rng)
+    joint = str(rng.choice(model.driven))
+    fault = {"friction": Fault(joint), "imu": Fault(turn=(0.02, -0.015, 0.0)), "clean": Fault()}[what]
+    plant = build_plant(robot, urdf)
+    logs = [simulate(robot, model, plant, gait, seconds, rng, noise, fault) for gait in ("sway", "trot", "crawl")]
+    found = diagnose(model, logs, model="symmetric", seed=seed)
+    named = [
+        f"{f.cause} ({'+'.join(f.joints) if len(f.joints) < 4 else 'all'}) {f.parameters[0].value:.4g}"
+        + "".join(f" = {other}" for other in f.indistinguishable_from)
+        for f in found.findings
+        if f.status in ("confirmed", "parameter")
+    ]
+    hidden = {"friction": joint, "imu": "imu", "clean": ""}[what]
+    return {"hidden": hidden, "verdict": found.verdict, "confirmed": "; ".join(named)}
+
+
+def run(name: str, seed: int, seconds: float, noise: float, what: str) -> dict[str, float | str]:
+    """Simulate and identify, weigh or diagnose one robot."""
+    if what != "identify":
+        weigh = what == "payload"
+        more = run_payload(name, seed, seconds, noise) if weigh else run_diagnosis(name, seed, seconds, noise, what)
+        return {"robot": name, "seed": seed, "noise": noise, "what": what, **more}
+    robot, rng = ROBOTS[name], np.random.default_rng(seed)
+    model, urdf = load_model(robot), perturb(robot, rng)
     plant = build_plant(robot, urdf)
     logs = [simulate(robot, model, plant, gait, seconds, rng, noise) for gait in ("sway", "trot", "crawl")]
     held = simulate(robot, model, plant, "trot", 10.0, rng, noise)
     found = identify(model, logs, holdout=[held], model="symmetric")
-    return {"robot": name, "seed": seed, "noise": noise, **judge(robot, model, urdf, found)}
+    return {"robot": name, "seed": seed, "noise": noise, "what": what, **judge(robot, model, urdf, found)}
 
 
 def main() -> None:
     """Run the study."""
     parser = argparse.ArgumentParser(description="Identification of walking robots that MuJoCo simulated")
     parser.add_argument("--robots", nargs="+", default=list(ROBOTS), choices=list(ROBOTS))
+    parser.add_argument("--what", nargs="+", default=["identify"], choices=list(WHAT))
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--noise", type=float, default=1.0)
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--out", type=Path, default=Path())
     given = parser.parse_args()
     rows = []
-    for name in given.robots:
+    for name, what in product(given.robots, given.what):
         for seed in range(given.seeds):
-            rows.append(run(name, seed, given.seconds, given.noise))
+            rows.append(run(name, seed, given.seconds, given.noise, what))
             print({key: x if isinstance(x, str) else round(float(x), 3) for key, x in rows[-1].items()}, flush=True)
     pd.DataFrame(rows).to_csv(given.out / "legged.csv", index=False)
 

@@ -40,10 +40,12 @@ def write_walker(write) -> str:
     return f'<robot name="walker" xmlns:drake="http://drake.mit.edu" xmlns:tau_dyn="urn:tau_dyn">{body}</robot>'
 
 
-def move(robot: Robot, seconds: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def move(
+    robot: Robot, seconds: float, seed: int, rate_hz: float = RATE
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return time (N,) and smooth motion of all coordinates: positions, velocities, accelerations (N, n)."""
     rng = np.random.default_rng(seed)
-    t = np.arange(0, seconds, 1 / RATE)
+    t = np.arange(0, seconds, 1 / rate_hz)
     middle = np.concatenate([[0.3, -0.2, 0.35, 0.4, 0.0, 0.0], np.tile([0.0, 0.6, -1.2], 4)])
     size = np.concatenate([[0.03] * 3, [0.12] * 3, [0.2] * 12])
     w = 2 * np.pi * rng.uniform(0.2, 1.6, (4, robot.na))
@@ -54,12 +56,19 @@ def move(robot: Robot, seconds: float, seed: int) -> tuple[np.ndarray, np.ndarra
     return t, middle + q, v, a
 
 
-def record(robot: Robot, seconds: float = 12.0, seed: int = 1, contacts: np.ndarray | None = None) -> Log:
+def record(
+    robot: Robot,
+    seconds: float = 12.0,
+    seed: int = 1,
+    contacts: np.ndarray | None = None,
+    rate_hz: float = RATE,
+    with_forces: bool = False,
+) -> Log:
     """Return an exact log of a motion on which the ground's forces, the least that carry the base, act at the feet.
 
     One foot after the other is lifted for half a second of every two, unless `contacts` (N, 4) says otherwise.
     """
-    t, q, v, a = move(robot, seconds, seed)
+    t, q, v, a = move(robot, seconds, seed, rate_hz)
     if contacts is None:
         contacts = np.ones((len(t), 4), bool)
         contacts[np.arange(len(t)), (t // 2).astype(int) % 4] = t % 2 > 0.5
@@ -74,6 +83,9 @@ def record(robot: Robot, seconds: float = 12.0, seed: int = 1, contacts: np.ndar
     for k, joint in enumerate(robot.driven, 6):
         columns |= {f"q_{joint}": q[:, k], f"tau_{joint}": tau[:, k]}
     columns |= {f"contact_{leg}_foot": contacts[:, k].astype(float) for k, leg in enumerate(LEGS)}
+    if with_forces:
+        places = [f"force_{leg}_foot_{axis}" for leg in LEGS for axis in "xyz"]
+        columns |= dict(zip(places, ground[:, :, 0].T, strict=True))
     return Log(t, columns, f"walk{seed}")
 
 

@@ -12,7 +12,6 @@ from raising import raises_code
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.cli import main
-from tau_dyn.diagnose import diagnose
 from tau_dyn.identify import Identification, identify
 from tau_dyn.legged import ANGULAR, LINEAR, POSITION, QUATERNION, check_robot_log, complete_base, list_base_warnings
 from tau_dyn.log import Log
@@ -105,8 +104,8 @@ def test_coordinates_of_the_base_are_angles_without_jumps(walker, walk, log):
 
 def test_a_velocity_in_axes_of_the_world_is_told_from_one_of_the_base(walker, log):
     """Both look plausible; the pose says which it is, for motion and turning."""
-    assert not list_base_warnings(walker, add_velocity(log))
-    said = list_base_warnings(walker, add_velocity(log, of_world=True))
+    assert not list_base_warnings(walker, [add_velocity(log)])
+    said = list_base_warnings(walker, [add_velocity(log, of_world=True)])
     assert [w.code for w in said] == ["base_velocity_frame"] * 2
     assert not check_robot_log(add_velocity(log, of_world=True), walker).fit_for_use
     assert check_robot_log(add_velocity(log), walker).fit_for_use
@@ -129,9 +128,7 @@ def test_a_walk_without_its_base_is_refused(walker, log):
 
 
 def test_what_takes_no_floating_base_says_so(walker, log, found):
-    """Diagnosis and predictions from motion alone would take the ground's forces for faults of the model."""
-    with raises_code("unsupported", "fixed base"):
-        diagnose(walker, log)
+    """Predictions from motion alone would take the ground's forces for faults of the model."""
     with raises_code("unsupported", "fixed base"):
         found.model.predict(log)
     with raises_code("bad_option", "wls"):
@@ -158,4 +155,4 @@ def test_the_command_line_takes_base_and_feet(walker, walker_file, log, tmp_path
     assert "# q_base_qw: COLUMN" in run("columns", path, walker_file)["template"]
     found = {p["name"]: p for p in run("identify", walker_file, whole, "--model", "symmetric")["parameters"]}
     assert abs(found["fl_knee.coulomb"]["value"] - 0.15) < 0.005
-    run("diagnose", walker_file, path, status=2)
+    run("workspace", walker_file, status=2)

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from raising import raises_code
 
-from tau_dyn.exchange import build_mjcf, build_sdf, build_urdf
+from tau_dyn.exchange import build_sdf
 from tau_dyn.mechanism import build_mechanism
 from tau_dyn.model import Model
 from tau_dyn.robot import BASE_COORDINATES, load_robot
@@ -77,8 +77,7 @@ def test_bases_and_feet_that_cannot_be_are_refused(walker_file, options, code):
         load_robot(walker_file, **options)
 
 
-def test_no_file_is_exported_with_coordinates_for_a_base(walker):
-    """A URDF whose base is six joints would be another robot to every program."""
-    for write in (build_urdf, build_mjcf, build_sdf):
-        with raises_code("unsupported", "fixed base"):
-            write(Model.of(walker))
+def test_sdf_takes_no_floating_base(walker):
+    """An SDF whose base is six joints would be another robot to every program."""
+    with raises_code("unsupported", "fixed base"):
+        build_sdf(Model.of(walker))

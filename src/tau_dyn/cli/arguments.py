@@ -188,7 +188,7 @@ class RobotOptions:
         fitted_inertias: Accept physically inconsistent inertias, such as those fitted to forces
         no_xacro: Accept plain URDF only; refuse xacro files, because they run code. Built-in robots are xacro files too
         hold: Hold a joint still at this position [m or rad]
-        base: floating for a walking robot, with the base pose in the log; only for identify, check and columns
+        base: floating for a walking robot, with the base pose in the log; only for identify, diagnose, payload, check and columns
         contact: Links with intermittent ground contact: FRAME for a point foot, FRAME=RADIUS for a ball [m], FRAME=flat
     """
 
@@ -216,7 +216,7 @@ class RobotOptions:
         from tau_dyn.robot import load_robot
 
         if self.base == "floating" and not may_float:
-            raise InputError("bad_option", "--base floating goes with identify, check and columns")
+            raise InputError("bad_option", "--base floating goes with identify, diagnose, payload, check and columns")
         given = read_arguments(self.set)
         for name, instead in _ELSEWHERE.items():
             if name in given:

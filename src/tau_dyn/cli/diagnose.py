@@ -56,7 +56,9 @@ def diagnose(
         from tau_dyn.servo import diagnose_loop, is_loop_log
         from tau_dyn.simulate import read_servo_law
 
-        machine = robot_options.load(robot)
+        machine = robot_options.load(robot, may_float=True)
+        if propose or controller:
+            machine.require_fixed_base("diagnose --propose or --controller")
         trained, held = fitting.read_logs(logs), fitting.read_logs(holdout)
         machine = robot_options.hold_silent_joints(machine, robot, trained)
         inputs = [

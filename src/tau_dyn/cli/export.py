@@ -234,7 +234,7 @@ def _make_drives(request: _Request) -> Made:
     from tau_dyn.exchange import build_drive_files, describe_price
 
     model, fitted = request.load_model(), request.options.actuators
-    joints = model.robot.actuated
+    joints = model.robot.driven
     delays = None
     if fitted is not None:
         delays = {j: a.delay for j, a in zip(joints, read_actuators(fitted, joints), strict=True)}
@@ -294,7 +294,7 @@ def _make_kinematics(request: _Request) -> Made:
         "functions": functions,
         "kind": program.kind,
         "difference": program.difference,
-        "joints": list(robot.actuated),
+        "joints": list(robot.driven),
     }
     return Made({request.out: include_header(source, name, header), header: declared}, said, result, lacking)
 
@@ -474,7 +474,7 @@ def export_feedforward(
         "out": [str(path) for path in files],
         "language": to,
         "function": name,
-        "joints": list(kept.robot.actuated),
+        "joints": list(kept.robot.driven),
         "signals": list(program.signals),
         "expressions": size,
         "difference": program.difference,

@@ -35,7 +35,7 @@ def payload(
 
     Args:
         loaded: Logs with the payload, of the same motion or another
-        link: Link that carries it (default: the one with the tool, or the only leaf)
+        link: Link that carries it (default: the one with the tool, the only leaf, or a floating base)
         exclude: Leave out samples where this column is not zero
     """
     with show_progress(output.quiet) as step:
@@ -43,7 +43,8 @@ def payload(
         from tau_dyn.monitor import identify_payload
 
         options = args.FittingOptions(columns=columns, exclude=exclude)
-        machine = robot_options.load_model(robot) if args.is_saved_model(robot) else robot_options.load(robot)
+        saved = args.is_saved_model(robot)
+        machine = robot_options.load_model(robot) if saved else robot_options.load(robot, may_float=True)
         without, with_it = options.read_logs(empty), options.read_logs(loaded)
         found = identify_payload(machine, without, with_it, link=link, exclude=exclude, seed=output.seed, progress=step)
     return Outcome(

@@ -38,6 +38,7 @@ from tau_dyn.identify import (
     list_provenance,
     require_forces,
 )
+from tau_dyn.legged import complete_base, list_base_warnings
 from tau_dyn.log import Log, Recording, estimate_encoder_noise
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
@@ -224,13 +225,16 @@ def diagnose(
             *(complete_positions(prepared.robot, get_log_list(some)) for some in (logs, holdout))
         )
         warnings += doubled
-        prepared.robot.require_fixed_base("diagnose")
         train, held = load_into_memory(given), load_into_memory(judged)
         if not train:
             raise InputError("missing_input", "no log was given")
+        if walks := bool(prepared.robot.base_coordinates):
+            require_forces(prepared.robot, train)
+            warnings += list_base_warnings(prepared.robot, [*train, *held])
+            train, held = (complete_base(prepared.robot, some) for some in (train, held))
         tool, links, forces = (
-            has_tool(prepared.robot, train),
-            all(log.joints("q_link") for log in train),
+            not walks and has_tool(prepared.robot, train),
+            not walks and all(log.joints("q_link") for log in train),
             has_forces(prepared.robot, train),
         )
         if not (tool or links):

@@ -56,10 +56,11 @@ from tau_dyn.identify import (
     list_information_warnings,
     list_resting_warnings,
     log_warnings,
+    mend_robot_log,
     name_apart,
     select_long,
 )
-from tau_dyn.log import Log, compute_edge_samples, decimate, find_motion_band, lowpass, mend_log, resample_segments
+from tau_dyn.log import Log, compute_edge_samples, decimate, find_motion_band, lowpass, resample_segments
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import INERTIAL
@@ -210,7 +211,7 @@ def fit_baseline(
     robot, logs = model.robot, name_apart([*train_logs, *held_logs])
     train_logs, held_logs = logs[: len(train_logs)], logs[len(train_logs) :]
     train, held = (
-        [piece for log in some for piece in resample_segments(mend_log(log, robot.actuated))]
+        [piece for log in some for piece in resample_segments(mend_robot_log(log, robot))]
         for some in (train_logs, held_logs)
     )
     warnings = [*check_integrity(robot, logs, exclude), *robot.warnings]
@@ -221,6 +222,8 @@ def fit_baseline(
         filters = preparation or choose_diagnosis_preparation(robot, train, exclude)
         pieces, is_held = (*train, *held), (*[False] * len(train), *[True] * len(held))
         smooth_hz, clear_hz = smooth_cutoffs(robot, train, held), clear_cutoff(robot, train)
+        if robot.base_coordinates:  # an identification's positions, as they are
+            smooth_hz = (filters.position_cutoff_hz,) * len(pieces)
         reported = preparation or choose_preparation(robot, select_long(train), exclude)
         case = _fitted(model, pieces, is_held, (filters, reported), smooth_hz, clear_hz, progress)
         if detect_position_periodicity(case.channel, smooth_hz):
@@ -286,7 +289,8 @@ def _fitted(
     channel = build_force_channel(fit, prepared, is_held, preparation, regression, clear_hz)
     scene = replace(channel.scene, step_s=1 / pieces[0].rate_hz)
     channel = replace(channel, parameters=model.parameters, scene=scene)
-    channel = add_reported_channel(channel, fit, pieces, is_held, reported, clear_hz)
+    if not model.robot.base_coordinates:  # else the same filters
+        channel = add_reported_channel(channel, fit, pieces, is_held, reported, clear_hz)
     return FittedBaseline(model, fit, channel, physics, preparation, smooth_hz, clear_hz, is_held, pieces)
 
 

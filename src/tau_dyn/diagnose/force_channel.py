@@ -9,12 +9,14 @@ from functools import cache, partial
 import numpy as np
 
 from tau_dyn.diagnose.periodogram import LONG_PERIODS, build_displacement_terms, scan_periods
-from tau_dyn.diagnose.preparation import ForceTiming, compute_border_gap_s, find_timing
+from tau_dyn.diagnose.preparation import REVERSAL_GAP_PERIODS, ForceTiming, compute_border_gap_s, find_timing
 from tau_dyn.diagnose.refitted_signals import RefittedModel, interpolate_smooth
+from tau_dyn.diagnose.walking import IMU_TURN, list_walking_causes
 from tau_dyn.effects import (
     DELIVERED,
     EFFECTS,
     GRAVITY_TURN,
+    REPORTED,
     SHIFTED_FORCE,
     DisplacementEffect,
     Effect,
@@ -35,12 +37,15 @@ from tau_dyn.evidence import (
     refuse_scarce,
     split_by_blocks,
 )
-from tau_dyn.identify import Preparation, PreparedSegment, prepare_segment
+from tau_dyn.identify import Preparation, PreparedSegment, leave_out_rare_joints, prepare_segment
 from tau_dyn.log import Log, decimate, lowpass
 from tau_dyn.model import COMPUTED, Model
 
 VALUES_PER_COMBINATION = 3
 """Usable values for each base parameter that the training part determines; with fewer, a third of the noise is fitted."""
+VALUES_PER_WALKING_COLUMN = 5
+"""Usable values of each equation of a walking robot for each column of the baseline, most of which act in every equation. The
+noise of an equation is that of a fit of its own values to them; few values, such as a foot's short flights, seem free of it."""
 MIN_VALUES = 10
 """Usable values of each output in the other parts, which are compared with a fit and fit little: an rms is known to 22 %."""
 _INDEPENDENT = 1e-9
@@ -118,6 +123,12 @@ class ForceChannel(Channel):
         return [float(begin[piece.log.name]) for piece in self.prepared]
 
 
+class WalkingForceChannel(ForceChannel):
+    """Forces of a walking robot: equations of its base, which hold the torques of all legs, and of lifted legs."""
+
+    has_unnamed_structures = False  # of an equation, which no single joint moves
+
+
 def _get_forces(motion: Motion) -> dict[str, np.ndarray]:
     """Return the predicted forces (n, na) of a motion by the name of the variable; an empty dict without a fitted model."""
     return {"tau": motion.signals["force"]} if "force" in motion.signals else {}
@@ -143,9 +154,14 @@ def prepare_segments(
 
 
 def build_force_regression(model: Model, prepared: Sequence[PreparedSegment], preparation: Preparation) -> Regression:
-    """Return the baseline's regression on prepared pieces."""
-    runs, robot = tuple(piece.run(model) for piece in prepared), model.robot
-    return Regression(model.parameters, robot.actuated, robot.force_units, runs, preparation)
+    """Return the baseline's regression on prepared pieces; equations of a walking robot's legs are named apart from joints."""
+    runs, robot = [piece.run(model) for piece in prepared], model.robot
+    least = VALUES_PER_WALKING_COLUMN * int(model.parameters.free.sum())
+    runs = tuple(leave_out_rare_joints(runs, len(robot.base_coordinates), least))
+    outputs = robot.actuated
+    if robot.base_coordinates:
+        outputs = (*robot.base_coordinates, *(f"{joint} (leg in the air)" for joint in robot.driven))
+    return Regression(model.parameters, outputs, robot.force_units, runs, preparation)
 
 
 def build_force_channel(
@@ -178,8 +194,9 @@ def build_force_channel(
     if timing is not None:
         each = zip(scene.joints, map(float, timing.delays), map(float, timing.lags), strict=True)
         scene = replace(scene, timing={joint: (delay, lag) for joint, delay, lag in each})
-    scene = _with_refits(scene, refitted)
-    channel = ForceChannel(
+    walks = bool(model.robot.base_coordinates)
+    scene = scene if walks else _with_refits(scene, refitted)
+    channel = (WalkingForceChannel if walks else ForceChannel)(
         "force",
         regression.outputs,
         regression.units,
@@ -187,19 +204,20 @@ def build_force_channel(
         regression.runs,
         parts,
         scene,
-        tuple(cls for cls in EFFECTS.values() if cls.cause),
+        list_walking_causes(model.robot) if walks else tuple(cls for cls in EFFECTS.values() if cls.cause),
         tuple(prepared),
         thinned,
         preparation,
     )
     others = MIN_VALUES * len(regression.outputs)
     rank = max(1, compute_determined_rank(regression, parts))
+    each = VALUES_PER_WALKING_COLUMN * len(model.robot.base_coordinates) if walks else VALUES_PER_COMBINATION
     refuse_scarce(
         channel,
-        (VALUES_PER_COMBINATION * rank, others, others),
+        (each * rank, others, others),
         "too little usable data is left",
         f"the logs hold {sum(p.log.duration for p in prepared):.3g} s",
-        "record a minute or more of motion in both directions, over several speeds",
+        f"record {'two minutes' if walks else 'a minute'} or more of motion in both directions, over several speeds",
     )
     return channel
 
@@ -292,7 +310,12 @@ def _with_timing(
     held: Sequence[bool],
     regression: Regression,
 ) -> tuple[Sequence[PreparedSegment], Regression, ForceTiming | None]:
-    """Return the pieces and their regression without the samples to which late forces shift a reversal, and the timing."""
+    """Return the pieces and their regression without the samples to which late forces shift a reversal, and the timing.
+
+    The equations of a walking robot hold several forces, so none has its own timing.
+    """
+    if model.robot.base_coordinates:
+        return prepared, regression, None
     trained = [run for run, out in zip(regression.runs, held, strict=True) if not out]
     timing = find_timing(trained, model.parameters.values, np.asarray(regression.parameters.free))
     if timing is None:
@@ -325,6 +348,8 @@ def _with_signals(
     """
     model = refitted.model
     m, t, mechanism = piece.motion, piece.log.t, model.mechanism
+    if model.robot.base_coordinates:
+        return _with_turns(piece, refitted, place)
     names = [s for s in _SIGNALS if s != "passive" or model.robot.loops]
     smooth = {name: partial(interpolate_smooth, piece, partial(COMPUTED[name], mechanism)) for name in names}
     known: dict[str, Callable[[], np.ndarray]] = {name: partial(m.signals.__getitem__, name) for name in m.signals}
@@ -365,6 +390,15 @@ def _with_signals(
     return replace(piece, motion=replace(m, **arrays, signals=LazySignals.changed(signals, _lay_samples_last)))
 
 
+def _with_turns(piece: PreparedSegment, refitted: RefittedModel, place: int) -> PreparedSegment:
+    """Return a piece of a walking robot with the turns of gravity and of its IMU; other forces of a model lack the ground's."""
+    known: dict[str, Callable[[], np.ndarray]] = {
+        name: partial(piece.motion.signals.__getitem__, name) for name in piece.motion.signals
+    }
+    known |= {GRAVITY_TURN: lambda: refitted.gravity_turns[place], IMU_TURN: lambda: refitted.imu_turns[place]}
+    return replace(piece, motion=replace(piece.motion, signals=LazySignals(known)))
+
+
 def _lay_samples_last(x: np.ndarray) -> np.ndarray:
     """Return an array (N, ...) with a joint's samples next to each other in memory, as effects and filters read them."""
     return np.moveaxis(np.ascontiguousarray(np.moveaxis(x, 0, -1)), -1, 0)
@@ -386,6 +420,12 @@ def _scene(
     preparation: Preparation,
     campaigns: int,
 ) -> Scene:
+    slow, walks = preparation.speed_threshold, bool(model.robot.base_coordinates)
+    if (
+        walks
+    ):  # reversals stay in: no law of a speed that a joint passes within the gap of other robots shows next to them
+        hardness = np.sqrt(np.mean(np.concatenate([m.a for m in motions]) ** 2, axis=0))
+        slow = np.maximum(slow, hardness * REVERSAL_GAP_PERIODS / preparation.position_cutoff_hz)
     signals = find_shared_signals(motions)
     if "temperature" in signals and max(float(np.ptp(m.signals["temperature"])) for m in motions) < 0.5:
         signals -= {"temperature"}  # it never changed
@@ -393,7 +433,7 @@ def _scene(
         motions,
         model.robot.actuated,
         model.robot.force_units,
-        slow=preparation.speed_threshold,
+        slow=slow,
         cutoff_hz=preparation.force_cutoff_hz,
         duration=sum(float(run.t[-1] - run.t[0]) for run in runs),
         signals=signals,
@@ -401,9 +441,11 @@ def _scene(
         trained=[part == TRAIN for part in parts],
         coupled=model.robot.coupled_pairs,
     )
-    force = np.max([np.abs(run.y_all).max(axis=0) for run in runs], axis=0)
-    inertia = np.max([np.diagonal(m.signals["inertia"], axis1=1, axis2=2).max(axis=0) for m in motions], axis=0)
     robot = model.robot
+    measured = [m.signals[REPORTED] for m in motions] if walks else [run.y_all for run in runs]
+    force = np.max([np.abs(x).max(axis=0) for x in measured], axis=0)
+    inertias = [model.mechanism.inertia(m.q) if walks else m.signals["inertia"] for m in motions]
+    inertia = np.max([np.diagonal(M, axis1=1, axis2=2).max(axis=0) for M in inertias], axis=0)
     ends = zip(robot.actuated, robot.effort_limit.tolist(), robot.velocity_limit.tolist(), strict=True)
     return replace(
         scene,

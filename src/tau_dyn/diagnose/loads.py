@@ -311,7 +311,7 @@ def _list_kinds(
     names, robot = channel.parameters.names, case.nominal.robot
     bodies = np.isin(names, robot.parameters.names)
     kinds = {PAYLOAD: [*loads]}
-    for joint in robot.actuated:
+    for joint in robot.driven:
         mine = [k for k, n in enumerate(names) if n in case.nominal.effect_parameters and n.startswith(f"{joint}.")]
         if mine:
             kinds[f"{_FRICTION} of {joint}"] = [run.W[:, :, mine] for run in channel.runs]
@@ -321,7 +321,7 @@ def _list_kinds(
             if mine is not None:
                 kinds[f"mass of {link.link}"] = [run.W[:, :, [mine]] for run in channel.runs]
     theta = np.where(bodies, plain.theta, 0.0)
-    for k, joint in enumerate(robot.actuated):
+    for k, joint in enumerate(() if robot.base_coordinates else robot.actuated):
         only = np.arange(robot.na) == k
         kinds[f"force of {joint}"] = [((run.W @ theta) * only)[:, :, None] for run in channel.runs]
     kinds[_BODIES] = [run.W[:, :, bodies] for run in channel.runs]

@@ -71,6 +71,15 @@ def _bic(e: np.ndarray, freedom: int, samples: float) -> float:
     return float(samples * np.sum(np.log(power)) + e.shape[1] * freedom * np.log(samples))
 
 
+def _add_ground(piece: PreparedSegment, force: np.ndarray) -> np.ndarray:
+    """Return a model's forces (N, na) with the part of the measured ones that equations without contacts do not show."""
+    if piece.contacts is None:
+        return force
+    rows = piece.contacts.G.swapaxes(1, 2)
+    rest = (piece.force - force)[:, :, None]
+    return force + (rest - np.linalg.pinv(rows) @ (rows @ rest))[:, :, 0]
+
+
 _WIDEST_CUTOFF_SHARE = 0.45
 """Low-pass of a motion that fills the whole band, as a share of the rate."""
 
@@ -115,7 +124,7 @@ class NoiseOnlyLog:
         """
         m, cutoff, joints = piece.motion, piece.preparation.position_cutoff_hz, piece.motion.joints
         whole = model.motion(m.q, m.v, m.a, np.sign(m.v), t=m.t, signals=m.signals)  # reversals of the synthetic motion
-        force = model.columns(whole) @ model.parameters.values
+        force = _add_ground(piece, model.columns(whole) @ model.parameters.values)
         rate, q = piece.log.rate_hz, m.q
         if smooth_hz >= cutoff:
             q = lowpass(piece.log.joint("q", joints), min(smooth_hz, _WIDEST_CUTOFF_SHARE * rate), rate)

@@ -179,6 +179,7 @@ def _build_finding(model: Model, found: Explanation, score: float) -> Finding:
     if found.cause == "payload":
         link = find_end_link(robot)
         joint = str(robot.model.names[link.joint_id]) if link is not None else ""
+        joint = robot.links[0].link if robot.base_coordinates else joint
         parameters = compute_payload_parameters(found, joint)
         mass, *centre = parameters
         sentence = f"The robot carries {format_quantity(mass.value, 'kg', mass.stderr)}"

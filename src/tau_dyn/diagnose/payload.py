@@ -336,9 +336,11 @@ def _candidates(robot: Robot, difference: BaseParameterDifference) -> list[tuple
         if mass > 0:
             found.append(("link_mass", link.link, (difference.combine @ np.where(scaled, pi, 0.0) / mass)[:, None]))
     whole = difference.combine @ pi
-    scales = [_force_scale(difference, k) for k in range(robot.na)]
     if robot.na > 1:
         found.append(("drive_gain", "", whole[:, None]))
+    if robot.base_coordinates:
+        return found  # an equation holds the forces of several joints
+    scales = [_force_scale(difference, k) for k in range(robot.na)]
     found += [("force_scale", joint, column[:, None]) for joint, column in zip(robot.actuated, scales, strict=True)]
     return found
 

@@ -83,10 +83,12 @@ def diagnose_forces(
     case: FittedBaseline, *, seed: int = 0, progress: Progress = lambda step: None, warnings: Sequence[str] = ()
 ) -> Diagnosis:
     """Find causes of the residual of a fitted baseline of forces, after changes within the logs."""
-    progress("changes within the logs")
-    changes = find_case_changes(case)
-    progress("looking for resonances")
-    channel, how = add_resonances(case.channel), describe_split(any(case.held), "logs")
+    channel, changes, how = case.channel, (), describe_split(any(case.held), "logs")
+    if not case.nominal.robot.base_coordinates:  # contacts mix the rows of all joints, and force some of them to stop
+        progress("changes within the logs")
+        changes = find_case_changes(case)
+        progress("looking for resonances")
+        channel = add_resonances(channel)
     warnings = (*warnings, *case.warnings, *describe_changes(changes))
     doubt = _describe_spoiled(warnings) or _describe_broken(changes)
     found = diagnose_channel(

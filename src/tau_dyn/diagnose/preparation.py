@@ -72,9 +72,12 @@ def choose_diagnosis_preparation(robot: Robot, logs: Sequence[Log], exclude: tup
 
     The band of the forces is as wide as encoder noise permits: above it, forces show only that noise times a mass, on which a
     noise model would use up its order. The low-pass of positions is as wide as possible with ten times the velocity's noise
-    below 1 % of the fast speeds, so that reversals are sharp.
+    below 1 % of the fast speeds, so that reversals are sharp. A floating base's pose is so noisy that its filters are those of an
+    identification.
     """
     plain = choose_preparation(robot, logs, exclude)
+    if robot.base_coordinates:
+        return plain
     rate = min(log.rate_hz for log in logs)
     q = [log.joint("q", robot.actuated) for log in logs]
     noise = np.max([estimate_encoder_noise(x) for x in q], axis=0)

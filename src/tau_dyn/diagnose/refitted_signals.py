@@ -21,7 +21,9 @@ from tau_dyn.estimate import RegressionRun, scale_columns
 from tau_dyn.evidence import MIN_UNABSORBED_SHARE
 from tau_dyn.exceptions import LoopClosureError
 from tau_dyn.identify import PreparedSegment
+from tau_dyn.legged import compute_imu_turn
 from tau_dyn.log import decimate
+from tau_dyn.mechanism import Mechanism
 from tau_dyn.model import Model
 
 _MAX_ROWS = 8000
@@ -46,8 +48,13 @@ _SATURATION_PASSES = 3
 
 
 def interpolate_smooth(piece: PreparedSegment, compute: Callable[..., np.ndarray]) -> np.ndarray:
-    """Return smooth signals computed from positions, speeds and accelerations; the regression's rate is enough for them."""
+    """Return smooth signals computed from positions, speeds and accelerations; the regression's rate is enough for them.
+
+    Steps of a walking robot's feet are no smooth motion.
+    """
     m, t = piece.motion, piece.log.t
+    if piece.contacts is not None:
+        return compute(m.q, m.v, m.a)
     few = np.unique(np.append(np.arange(0, len(t), piece.factor), len(t) - 1))
     return np.asarray(CubicSpline(t[few], compute(m.q[few], m.v[few], m.a[few]))(t))
 
@@ -75,8 +82,17 @@ class RefittedModel:
     @cached_property
     def gravity_turns(self) -> list[np.ndarray]:
         """Forces at rest (N, na, 2) of each piece per turn of gravity."""
-        near = self.model.with_parameters(self.model.parameters.with_values(self.turned_values))
-        return [interpolate_smooth(p, lambda q, v, a: near.mechanism.gravity_turn(q)) for p in self.prepared]
+        near = self._at_turned_values()
+        return [interpolate_smooth(p, lambda q, v, a: near.gravity_turn(q)) for p in self.prepared]
+
+    @cached_property
+    def imu_turns(self) -> list[np.ndarray]:
+        """Change of forces (N, na, 2) of each piece per turn of a floating base against its logged axes."""
+        near = self._at_turned_values()
+        return [interpolate_smooth(p, lambda q, v, a: compute_imu_turn(near, q, v, a)) for p in self.prepared]
+
+    def _at_turned_values(self) -> Mechanism:
+        return self.model.with_parameters(self.model.parameters.with_values(self.turned_values)).mechanism
 
     @cached_property
     def turned_values(self) -> np.ndarray:

@@ -191,7 +191,7 @@ class GravityDirection(Effect):
 
     def columns(self, motion: Motion) -> np.ndarray:
         """Return force per radian of each turn (N, na, 2)."""
-        turned = motion.signal(GRAVITY_TURN)
+        turned = motion.signal(self.needs[0])
         out = np.zeros_like(turned)
         for k in self._indices(motion):
             out[:, k] = turned[:, k]

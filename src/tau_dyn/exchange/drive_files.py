@@ -114,7 +114,8 @@ def _read_drives(
 ) -> tuple[dict[str, Drive], list[str]]:
     """Return each joint's drive, and sentences about values that are negative or unknown."""
     robot, found, odd = model.robot, {}, []
-    for joint, effort, speed in zip(robot.actuated, robot.effort_limit, robot.velocity_limit, strict=True):
+    n = len(robot.base_coordinates)
+    for joint, effort, speed in zip(robot.driven, robot.effort_limit[n:], robot.velocity_limit[n:], strict=True):
         law = read_joint_law(carried, joint)
         values = {"friction": law.coulomb, "viscous": law.viscous, "armature": law.armature}
         odd += [f"{joint}: {_WORDS[name]} is negative and left out" for name, x in values.items() if x < 0]

@@ -4,6 +4,7 @@ MuJoCo's own URDF reader drops loops and drive inertia. Here every movable joint
 (links fixed to it merged in), `armature`, `damping` and `frictionloss`. A drive's gain and constant force are attributes of its
 actuator; `mjcf_effects.py` describes the elements of other effects.
 Loops are constrained at sites: unlike constraints between bodies, these do not depend on the pose at which the file is compiled.
+The base of a walking robot has a free joint, `base`, and round feet are balls that touch the ground.
 Bodies without mass get 1e-9 kg, since MuJoCo requires a mass. Meshes are written as binary STL, since MuJoCo reads no Collada.
 """
 
@@ -62,11 +63,10 @@ def build_mjcf(model: Model, meshes: str = "") -> Exported:
         meshes: Prefix of the names of mesh files, which are located next to the MJCF file; without it no meshes are written.
 
     Raises:
-        InputError: A joint has more than one degree of freedom, a drive has a scale, or the base floats.
+        InputError: A joint has more than one degree of freedom, or a drive has a scale.
     """
     robot = model.robot
     robot.require_unscaled_drives("a MuJoCo file")
-    robot.require_fixed_base("a MuJoCo file")
     joints = list_joints(robot.model)
     if joints is None:
         raise InputError(
@@ -81,6 +81,7 @@ def build_mjcf(model: Model, meshes: str = "") -> Exported:
     world = SubElement(root, "worldbody")
     bodies, raised = _bodies(world, carried, joints, places)
     _add_weights(bodies, model)
+    _add_feet(bodies, model)
     visuals, missing = read_visuals(robot)
     files, shapes = _draw(root, visuals, [world, *bodies], meshes)
     _mark_tool(model, [world, *bodies])
@@ -88,7 +89,9 @@ def build_mjcf(model: Model, meshes: str = "") -> Exported:
     _couple(root, model)
     add_shared_motors(root, model, places, _STIFF)
     actuator = SubElement(root, "actuator")
-    for joint, limit in zip(robot.actuated, robot.effort_limit, strict=True):
+    limits = dict(zip(robot.actuated, robot.effort_limit, strict=True))
+    for joint in robot.driven:
+        limit = limits[joint]
         more = {"ctrlrange": _numbers([-limit, limit])} if np.isfinite(limit) else {}
         law = read_joint_law(carried, joint)
         if law.gain != 1 or law.offset:
@@ -115,12 +118,18 @@ def _bodies(world: Element, model: Model, joints: list[Joint], places: EffectPla
     inertias = {link.joint_id: link for link in robot.links}
     names = {f.parentJoint: f.name for f in reversed(robot.model.frames.tolist()) if f.type == pin.FrameType.BODY}
     for joint in joints:
-        held = robot.held_positions.get(robot.model.names[joint.index])
+        name = robot.model.names[joint.index]
+        if name in robot.base_coordinates[:-1]:
+            found.append(world)
+            continue
+        held = robot.held_positions.get(name)
         turn, place = joint.place(held or 0.0)
         rotation = pin.Quaternion(turn)
         pose = {"pos": _numbers(place), "quat": _numbers([rotation.w, rotation.x, rotation.y, rotation.z])}
         body = SubElement(found[joint.parent], "body", {"name": names[joint.index], **pose})
-        if held is None:
+        if name in robot.base_coordinates:
+            SubElement(body, "freejoint", name="base")
+        elif held is None:
             SubElement(body, "joint", _joint(model, joint, places))
         if joint.index in inertias:
             carried = build_body(inertias[joint.index], model)
@@ -132,6 +141,16 @@ def _bodies(world: Element, model: Model, joints: list[Joint], places: EffectPla
             SubElement(body, "inertial", _MIN_INERTIAL)
         found.append(body)
     return found[1:], [sentence for sentence in raised if sentence]
+
+
+def _add_feet(bodies: list[Element], model: Model) -> None:
+    """Add the ball of each foot, which touches the ground."""
+    for contact in model.robot.contacts:
+        frame = model.robot.model.frames[model.robot.model.getFrameId(contact.frame, pin.FrameType.BODY)]
+        if contact.radius:
+            place = frame.placement.act(np.array(contact.centre))
+            said = {"pos": _numbers(place), "size": _numbers([contact.radius]), "mass": "0"}
+            SubElement(bodies[frame.parentJoint - 1], "geom", {"name": contact.frame, "type": "sphere", **said})
 
 
 def _inertia(inertia: np.ndarray, link: str) -> tuple[dict[str, str], str]:
@@ -290,7 +309,19 @@ def _home(model: Model, joints: list[Joint], world: Element) -> list[float]:
         at[robot.model.names[joint.index]] = (
             float(np.arctan2(q[item.idx_q + 1], q[item.idx_q])) if turning else float(q[item.idx_q])
         )
-    return [at[element.get("name", "")] for element in world.iter("joint")]
+    upright = [0.0, 0.0, _find_height(model, q), 1.0, 0.0, 0.0, 0.0] if robot.base_coordinates else []
+    return [*upright, *(at[element.get("name", "")] for element in world.iter("joint"))]
+
+
+def _find_height(model: Model, q: np.ndarray) -> float:
+    """Return the height [m] at which the lowest foot of a floating base touches the ground at a configuration (nq,)."""
+    tree, data = model.robot.model, model.robot.model.createData()
+    pin.framesForwardKinematics(tree, data, q)
+    lowest = [0.0]
+    for contact in model.robot.contacts:
+        place = data.oMf[tree.getFrameId(contact.frame, pin.FrameType.BODY)]
+        lowest.append(float(place.act(np.array(contact.centre))[2]) - contact.radius)
+    return -min(lowest)
 
 
 def _numbers(values: Any) -> str:

@@ -111,18 +111,18 @@ def _collect_bodies(model: Model, samples: np.ndarray) -> dict[str, np.ndarray]:
 def _collect_joints(model: Model, samples: np.ndarray) -> dict[str, np.ndarray]:
     """Return each joint's law in each sample; all of its values are linear in the parameters."""
     robot, names = model.robot, model.parameters.names
-    own = [k for k, name in enumerate(names) if name.rpartition(".")[0] in robot.actuated]
+    own = [k for k, name in enumerate(names) if name.rpartition(".")[0] in robot.driven]
 
     def read(values: np.ndarray) -> np.ndarray:
         carried = build_carried_model(model.with_parameters(model.parameters.with_values(values)), drives=True)
-        return np.array([read_joint_law(carried, joint) for joint in robot.actuated])
+        return np.array([read_joint_law(carried, joint) for joint in robot.driven])
 
     zero = read(np.zeros(len(names)))
     slopes = np.array([read(row) - zero for row in np.eye(len(names))[own]])
     laws = zero + np.tensordot(samples[:, own], slopes, axes=1)
     coulomb, viscous, offset, armature, gain = np.moveaxis(laws, 2, 0)
     return {
-        "joints": np.array(robot.actuated), "frictionloss": coulomb, "damping": viscous, "offset": offset,
+        "joints": np.array(robot.driven), "frictionloss": coulomb, "damping": viscous, "offset": offset,
         "armature": armature, "gain": gain,
     }  # fmt: skip
 

@@ -28,7 +28,7 @@ from tau_dyn.exchange.content import (
     split,
 )
 from tau_dyn.model import Model
-from tau_dyn.robot import resolve_mesh, write_gazebo_mimics
+from tau_dyn.robot import remove_base_coordinates, resolve_mesh, write_gazebo_mimics
 
 _DRAKE, _OURS = "http://drake.mit.edu", "urn:tau_dyn"
 _HARDWARE = "mock_components/GenericSystem"  # mock hardware of ros2_control; a real drive has its own plugin
@@ -38,15 +38,18 @@ _ENTRIES = (("ixx", 0, 0), ("ixy", 0, 1), ("ixz", 0, 2), ("iyy", 1, 1), ("iyz", 
 def build_urdf(model: Model, folder: Path | None = None) -> Exported:
     """Return the model's robot as URDF text, which gives the same rigid-body forces when it is read again.
 
+    The root of a robot with a floating base is its base link.
+
     Args:
         model: The model.
         folder: Folder of the file to be written, to which mesh paths are relative; None for the robot file's folder.
     """
-    model.robot.require_fixed_base("an exported URDF")
     carried = build_carried_model(model, drives=False)
     left_out = list_omissions(model, drives=False)
     root = fromstring(model.robot.urdf, forbid_dtd=True)
     write_gazebo_mimics(root)
+    if model.robot.base_coordinates:
+        remove_base_coordinates(root)
     links = {e.get("name", ""): e for e in root.findall("link")}
     for link in model.robot.links:
         for name in _fixed_to(root, link.link):
@@ -55,7 +58,7 @@ def build_urdf(model: Model, folder: Path | None = None) -> Exported:
     joints = {e.get("name", ""): e for e in root.findall("joint")}
     for joint in model.robot.mimics:  # their friction is included in that of the joint that they follow
         _remove(joints[joint], "dynamics")
-    for joint in model.robot.actuated:
+    for joint in model.robot.driven:
         law = read_joint_law(carried, joint)
         _remove(joints[joint], "dynamics")
         _remove(joints[joint], "mimic")  # it does not count where the joint has a motor of its own
@@ -116,11 +119,11 @@ def _write_drives(root: Element, model: Model) -> None:
     for element in root.findall("transmission"):
         joint = element.find("joint")
         name = joint.get("name", "") if joint is not None else ""
-        if name in model.robot.actuated and name not in kept:
+        if name in model.robot.driven and name not in kept:
             kept[name] = element
         else:
             root.remove(element)
-    for joint in model.robot.actuated:
+    for joint in model.robot.driven:
         actuator = _actuator(root, kept.get(joint), joint)
         for space in (_DRAKE, "https://drake.mit.edu"):
             for tag in ("rotor_inertia", "gear_ratio"):
@@ -149,7 +152,9 @@ def _write_ros2_control(root: Element, model: Model) -> None:
         return
     system = SubElement(root, "ros2_control", name=f"{model.robot.name}_drives", type="system")
     SubElement(SubElement(system, "hardware"), "plugin").text = _HARDWARE
-    for joint, limit in zip(model.robot.actuated, model.robot.effort_limit, strict=True):
+    limits = dict(zip(model.robot.actuated, model.robot.effort_limit, strict=True))
+    for joint in model.robot.driven:
+        limit = limits[joint]
         drive = SubElement(system, "joint", name=joint)
         command = SubElement(drive, "command_interface", name="effort")
         if np.isfinite(limit):

@@ -8,6 +8,7 @@ from .data import (
     get_log_list as get_log_list,
     list_provenance as list_provenance,
     log_warnings as log_warnings,
+    mend_robot_log as mend_robot_log,
     require_forces as require_forces,
 )
 from .estimate_warnings import list_resting_warnings as list_resting_warnings
@@ -64,6 +65,7 @@ from .preparation import (
 from .regression import (
     PreparedSegment as PreparedSegment,
     build_regression as build_regression,
+    leave_out_rare_joints as leave_out_rare_joints,
     prepare_segment as prepare_segment,
 )
 from .result import (

@@ -179,7 +179,7 @@ def require_forces(robot: Robot, logs: Sequence[Log | Recording]) -> None:
             )
 
 
-def _mend(log: Log, robot: Robot) -> Log:
+def mend_robot_log(log: Log, robot: Robot) -> Log:
     """Return a log with its lost samples as gaps, except for a walker: its joints jump when feet touch down."""
     return log if robot.base_coordinates else mend_log(log, robot.actuated)
 
@@ -220,7 +220,7 @@ class Data:
     def of(cls, model: Model, logs: Sequence[Log | Recording], **options: Any) -> Data:
         """Cut logs in memory into even pieces; their few lost samples are gaps in the clock."""
         here = [log for log in logs if isinstance(log, Log)]
-        mended = (_mend(log, model.robot) for log in here if len(here) == len(logs))
+        mended = (mend_robot_log(log, model.robot) for log in here if len(here) == len(logs))
         return cls(model, tuple(logs), tuple(piece for log in mended for piece in resample_segments(log)), **options)
 
     @property

@@ -239,7 +239,7 @@ def _gather_data(
         )
     train, held, doubled = drop_repeated_logs(*(complete_positions(fitted.robot, some) for some in (given, judged)))
     require_forces(fitted.robot, [*train, *held])
-    doubled = [*doubled, *_list_base_warnings(fitted.robot, [*train, *held])]
+    doubled = [*doubled, *list_base_warnings(fitted.robot, [*train, *held])]
     train, held = (complete_base(fitted.robot, some) for some in (train, held))
     how = {**how, "factors": {joint: factor for joint, (factor, _) in gains.items()}}
     data = Data.of(
@@ -251,12 +251,6 @@ def _gather_data(
         **how,
     )
     return _Gathered(data, Data.of(fitted, held, campaigns=tuple(log.name for log in train), **how), gains, doubled)
-
-
-def _list_base_warnings(robot: Robot, logs: Sequence[Log | Recording]) -> list[str]:
-    """Return warnings about a floating base's motion and feet; empty for a fixed base."""
-    here = [log for log in logs if isinstance(log, Log) and robot.base_coordinates]
-    return [warning for log in here for warning in list_base_warnings(robot, log)]
 
 
 def _settled_or_scarce(built: BuiltData, solver: Estimator) -> Settled:

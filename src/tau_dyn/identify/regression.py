@@ -137,18 +137,20 @@ def build_regression_of_pieces(
         number = {"campaign": np.full(piece.n_samples, float(names.index(piece.name)))}
         runs.append(prepare_segment(at or model, piece, preparation, signals=number).run(model))
     robot = model.robot
-    runs = runs if campaigns else _leave_out_rare(runs, len(robot.base_coordinates))
+    runs = runs if campaigns else leave_out_rare_joints(runs, len(robot.base_coordinates))
     regression = Regression(model.parameters, robot.actuated, robot.force_units, tuple(runs), preparation)
     if regression.n_samples == 0:
         raise _nothing_left(model, pieces, preparation)
     return regression, kept
 
 
-def _leave_out_rare(runs: list[RegressionRun], n_base: int) -> list[RegressionRun]:
-    """Return the runs of a floating base without the joints of legs that are hardly ever in the air; others as they are."""
+def leave_out_rare_joints(
+    runs: list[RegressionRun], n_base: int, least: int = MIN_FLIGHT_SAMPLES
+) -> list[RegressionRun]:
+    """Return the runs of a floating base without joints of legs with fewer usable samples in the air; others as they are."""
     if not n_base:
         return runs
-    often = np.sum([run.usable.sum(axis=0) for run in runs], axis=0) >= MIN_FLIGHT_SAMPLES
+    often = np.sum([run.usable.sum(axis=0) for run in runs], axis=0) >= least
     often[:n_base] = True
     return [replace(run, usable=run.usable & often) for run in runs]
 

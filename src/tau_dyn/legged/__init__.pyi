@@ -18,3 +18,4 @@ from .log_check import (
     list_base_warnings as list_base_warnings,
     propose_robot_columns as propose_robot_columns,
 )
+from .misalignment import compute_imu_turn as compute_imu_turn

@@ -11,6 +11,7 @@ Columns of a log, after Pinocchio's free flyer:
     q_base_qx, q_base_qy, q_base_qz, q_base_qw      orientation of the base in the world
     v_base_x, v_base_y, v_base_z                    velocity of that origin in axes of the base [m/s]
     v_base_wx, v_base_wy, v_base_wz                 angular velocity in axes of the base [rad/s]
+    contact_FOOT; force_FOOT_x, _y, _z              whether a foot touches; the ground's force on it (`contact_forces.py`)
 
 The orientation is needed, since it gives the direction of gravity. The position may be missing if the velocity is logged: it
 is then the velocity's integral in world axes, whose drift has no effect on the equations of motion. Velocities and
@@ -30,6 +31,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.exceptions import InputError
+from tau_dyn.legged.contact_forces import add_contact_forces, is_contact_force_measured, name_contact_forces
 from tau_dyn.log import (
     MIN_SEGMENT_SAMPLES,
     CheckFinding,
@@ -59,13 +61,13 @@ MAX_NORM_ERROR = 0.05
 
 
 def complete_base(robot: Robot, logs: Sequence[AnyLog]) -> list[AnyLog]:
-    """Return logs with the positions of a floating base's coordinates, and their forces, which are zero.
+    """Return logs with the positions of a floating base's coordinates, and their forces: zero, or those of measured feet.
 
     Logs of a robot with a fixed base are returned unchanged.
 
     Raises:
         InputError: The orientation is missing or no rotation, position and velocity are both missing, the base pitches
-            beyond 80 degrees, or a recording is larger than memory.
+            beyond 80 degrees, forces of feet cannot be used (`add_contact_forces`), or a recording is larger than memory.
     """
     return [_complete(robot, log) for log in logs] if robot.base_coordinates else list(logs)
 
@@ -91,7 +93,8 @@ def _complete(robot: Robot, log: AnyLog) -> AnyLog:
     raw = {*QUATERNION, *LINEAR, *ANGULAR}
     channels = {name: x for name, x in log.channels.items() if name not in raw}
     channels |= {f"q_{name}": x for name, x in zip(names, values, strict=True)}
-    return replace(log, channels=channels | {f"tau_{name}": np.zeros(log.n_samples) for name in names})
+    completed = replace(log, channels=channels | {f"tau_{name}": np.zeros(log.n_samples) for name in names})
+    return add_contact_forces(robot, completed)
 
 
 def read_rotation(log: Log) -> Rotation:
@@ -172,7 +175,7 @@ def check_robot_log(log: Log, robot: Robot | None) -> LogCheck:
         findings.append(CheckFinding("ok", "base", f"{log.name} has orientation and position or velocity of the base."))
         findings += [
             CheckFinding("fault" if w.code == "base_velocity_frame" else "warning", "base", str(w), code=w.code)
-            for w in list_base_warnings(robot, log)
+            for w in list_base_warnings(robot, [log])
         ]
     return replace(checked, findings=tuple(findings))
 
@@ -191,9 +194,11 @@ def propose_robot_columns(path: str | Path, robot: Robot) -> ColumnProposal:
         return proposal
     there = read_any(Path(path)).cells
     feet = tuple(f"contact_{contact.frame}" for contact in robot.contacts)
-    known = {name: name for name in (*POSITION, *QUATERNION, *LINEAR, *ANGULAR, *feet) if name in there}
+    forces = tuple(name for contact in robot.contacts for name in name_contact_forces(contact))
+    known = {name: name for name in (*POSITION, *QUATERNION, *LINEAR, *ANGULAR, *feet, *forces) if name in there}
     place = POSITION if not all(name in known for name in LINEAR) else ()
-    missing = [name for name in (*place, *QUATERNION, *feet) if name not in known]
+    measured = [f"contact_{c.frame}" for c in robot.contacts if set(name_contact_forces(c)) <= set(known)]
+    missing = [name for name in (*place, *QUATERNION, *feet) if name not in {*known, *measured}]
     if not missing:
         return replace(proposal, entries={**proposal.entries, **known})
     sentence = (
@@ -208,9 +213,15 @@ def propose_robot_columns(path: str | Path, robot: Robot) -> ColumnProposal:
     )
 
 
-def list_base_warnings(robot: Robot, log: Log) -> list[CodedWarning]:
-    """Return warnings about feet and base velocity of a log with an orientation of the base."""
-    missing = [contact.frame for contact in robot.contacts if f"contact_{contact.frame}" not in log.channels]
+def list_base_warnings(robot: Robot, logs: Sequence[Log | Recording]) -> list[CodedWarning]:
+    """Return warnings about feet and base velocity of logs with an orientation of the base; empty for a fixed base."""
+    here = [log for log in logs if isinstance(log, Log) and robot.base_coordinates]
+    return [warning for log in here for warning in _list_warnings(robot, log)]
+
+
+def _list_warnings(robot: Robot, log: Log) -> list[CodedWarning]:
+    unknown = [contact for contact in robot.contacts if not is_contact_force_measured(contact, log)]
+    missing = [contact.frame for contact in unknown if f"contact_{contact.frame}" not in log.channels]
     found = []
     if missing:
         listed = ", ".join(f"contact_{frame}" for frame in missing)

@@ -13,8 +13,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 DEGREE = math.pi / 180  # rad
 
-CONTACT = "contact_"
-"""Prefix of columns that hold the contact of a foot with the ground, 0 or 1, or its force [N]."""
+CONTACTS = ("contact_", "force_")
+"""Prefixes of columns that hold the contact of a foot with the ground, 0 or 1, or its force [N]."""
 SIGNALS = ("q_ref", "q_link", "voltage", "current", "temp", "tau", "cmd", "pwm", "q", "v", "a")
 """Signals a joint may have. `q_ref` comes before `q`, so that `q_ref_J` is not read as `q` of `ref_J`, and so does `q_link`,
 the position measured behind the drive, on the load side. `cmd` is the command to a servo. `voltage` [V]
@@ -43,7 +43,7 @@ def split_column_name(column: str) -> tuple[str, str] | None:
 
 def is_contract_name(column: str) -> bool:
     """Return whether a column map may define the name: `t`, a joint's signal, a tool column, `temp_room` or a foot's contact."""
-    alone = column in ("t", ROOM_TEMPERATURE, *TOOL_COLUMNS) or column.startswith(CONTACT)
+    alone = column in ("t", ROOM_TEMPERATURE, *TOOL_COLUMNS) or column.startswith(CONTACTS)
     return alone or split_column_name(column) is not None
 
 

@@ -48,6 +48,7 @@ from tau_dyn.identify import (
     refuse_constant_forces,
     require_forces,
 )
+from tau_dyn.legged import complete_base, list_base_warnings
 from tau_dyn.log import Log
 from tau_dyn.message_codes import CodedWarning, format_warnings, get_code
 from tau_dyn.model import Model
@@ -64,6 +65,10 @@ MAX_HIDDEN_SHARE = 0.05
 _EXPERIMENT_S = 20.0  # of the simulated motion from which the length of the proposed one is predicted
 _MAX_EXPERIMENT_S = 600.0  # a motion longer than ten minutes is not practical; more accuracy needs another motion
 _MIN_JOINT_SHARE = 0.1  # of the information about a payload's mass: joints with less are not named
+_WALK = (
+    "sway on all feet for a minute, the base tilting and turning as far as the legs reach, then step, without and with "
+    "the payload"
+)
 _MIN_LENGTH_M = 0.05  # lever by which a centre counts as known if the payload is at the frame's origin
 
 INERTIA = INERTIAL[4:]
@@ -224,7 +229,7 @@ def identify_payload(
         robot: The robot, whose friction is then asymmetric; or a model with its effects.
         empty: Logs with `q_J` and `tau_J` without the payload.
         loaded: The same robot with it; the same motion or another.
-        link: Link that carries it; by default the one with the tool, or the tree's only leaf.
+        link: Link that carries it; by default the one with the tool, the tree's only leaf, or a floating base.
         exclude: Log columns whose nonzero samples are left out.
         seed: Seed of the motion that is proposed if the logs are too short.
         progress: Called with a word for each step.
@@ -272,9 +277,11 @@ def _identify(
     progress: Callable[[str], None],
 ) -> PayloadEstimate:
     without, with_it = _tell_apart(model.robot, empty, loaded)
+    of_base = list_base_warnings(model.robot, [*without, *with_it])
+    without, with_it = (complete_base(model.robot, some) for some in (without, with_it))
     progress("columns")
     data = Data.of(untie_link(model, body), [*without, *with_it], exclude=exclude)
-    said = data.warnings()
+    said = [*of_base, *data.warnings()]
     _refuse_wrong_wiring(said, model.robot.actuated)
     built = data.build(data.model)
     for logs in (without, with_it):
@@ -371,7 +378,7 @@ def add_payload_columns(model: Model, body: LinkInertia, regression: Regression,
     shared[np.ix_(ten, own)] = body.map
     extra = list(build_load_parameters())
     columns = list(np.eye(len(names))[ten])
-    for joint in model.robot.actuated:
+    for joint in model.robot.driven:
         for law in ("coulomb", "viscous"):
             mine = [k for k, name in enumerate(names) if name in _friction_names(joint, law)]
             if mine:
@@ -418,21 +425,24 @@ def describe_payload(
 
 def _compare_friction(robot: Robot, estimate: Estimate) -> tuple[FrictionDifference, ...]:
     found, kept = [], [estimate.base.names[k] for k in estimate.base.kept]
-    for joint in robot.actuated:
+    for joint in robot.driven:
         names = [f"{joint}.{law}_change" for law in ("coulomb", "viscous")]
         if not all(name in estimate.parameters for name in names):
             continue
         rows = np.eye(len(kept))[[k for k, name in enumerate(kept) if name in names]]
         p = compute_contrast_p_value(estimate, rows)
-        corrected = None if p is None else min(1.0, robot.na * p)
+        corrected = None if p is None else min(1.0, len(robot.driven) * p)
         coulomb, viscous = (estimate.parameters[name] for name in names)
         found.append(FrictionDifference(joint, coulomb, viscous, corrected))
     return tuple(found)
 
 
 def _compare_drives(found: PayloadEstimate) -> list[str]:
-    """Return a warning if the joints disagree about the payload, with the mass by each of them."""
-    if not found.differs or not found.mass.values[0] > 0:
+    """Return a warning if the joints disagree about the payload, with the mass by each of them.
+
+    The equations of a floating base hold the forces of several joints, so they compare no single one.
+    """
+    if not found.differs or not found.mass.values[0] > 0 or found.robot.base_coordinates:
         return []
     gains = compare_drives(found.estimate, list_load_names())
     if gains is None or gains.p_value >= DIFFERENCE_LEVEL or gains.largest_difference < MIN_DRIVE_DIFFERENCE:
@@ -509,6 +519,8 @@ def _propose_motion(model: Model, body: LinkInertia, sigma: np.ndarray | None, a
         allowed: Standard error of the mass to reach [kg].
         seed: Seed of the motion and its noise.
     """
+    if model.robot.base_coordinates:
+        return _WALK
     seconds, named = _EXPERIMENT_S, list(model.robot.actuated)
     try:
         still = model.steady()

@@ -28,6 +28,7 @@ from .floating_base import (
     FLAT as FLAT,
     POINT as POINT,
     ContactFrame as ContactFrame,
+    remove_base_coordinates as remove_base_coordinates,
 )
 from .gazebo import write_gazebo_mimics as write_gazebo_mimics
 from .load import as_robot as as_robot, load_robot as load_robot, load_robot_from_urdf as load_robot_from_urdf

@@ -75,6 +75,24 @@ def free_base(urdf: str, contacts: Iterable[str], where: str) -> str:
     return tostring(root, encoding="unicode")
 
 
+def remove_base_coordinates(root: Element) -> None:
+    """Remove a floating base's coordinates and feet from URDF elements, so that its link is the root; the inverse of `free_base`.
+
+    Other programs let a root without a joint float, or have a joint of their own for it.
+    """
+    joints = {e.get("name", ""): e for e in root.findall("joint")}
+    removed = {_end(joints[name], end) for name in BASE_COORDINATES for end in ("parent", "child")}
+    removed.remove(_end(joints[BASE_COORDINATES[-1]], "child"))
+    for name in BASE_COORDINATES:
+        root.remove(joints[name])
+    for link in root.findall("link"):
+        if link.get("name") in removed:
+            root.remove(link)
+    for tag in ("floating_base", "contact"):
+        for element in root.findall(f"{{{_OURS}}}{tag}"):
+            root.remove(element)
+
+
 def _cut(root: Element, links: dict[str, Element], taken: set[str], where: str) -> tuple[str, str]:
     """Return the world's link and the base's, after removal of the joint between them."""
     joints = {_end(e, "child"): e for e in root.findall("joint")}

@@ -363,8 +363,13 @@ class Robot(Shown):
 
 
 def find_end_link(robot: Robot) -> LinkInertia | None:
-    """Return the link that carries the tool, or the only leaf of the tree; None if there is not exactly one."""
+    """Return the link that carries the tool, or the only leaf of the tree; None if there is not exactly one.
+
+    A floating base carries loads itself: its link is returned.
+    """
     by_joint = {link.joint_id: link for link in robot.links}
+    if robot.base_coordinates:
+        return by_joint.get(robot.model.getJointId(robot.base_coordinates[-1]))
     if robot.tool_frame is not None:
         joint = int(robot.model.frames[robot.tool_frame].parentJoint)
         if joint in by_joint:
