@@ -87,7 +87,7 @@ def test_logs_made_of_noise_alone_answer_it_as_the_measured_one_did():
     tau = model.torque(q, v, a) + apply_feedback_taps(loop, noise) + 0.2 * rng.standard_normal(q.shape)
     log = logged(q + noise, tau, axis.actuated)
     motion = model.motion(q, v, a, np.sign(v), t=t)
-    piece = SimpleNamespace(motion=motion, log=log, preparation=SimpleNamespace(position_cutoff_hz=60.0))
+    piece = SimpleNamespace(motion=motion, contacts=None, log=log, preparation=SimpleNamespace(position_cutoff_hz=60.0))
     made = NoiseOnlyLog.of(cast(Any, piece), model, log, 20.0).draw(rng)
     taps = estimate_feedback_taps(made, axis.actuated, 20.0)
     assert_allclose(taps, loop, rtol=0.05, atol=0.05 * 6e4)
@@ -103,7 +103,7 @@ def test_made_logs_round_as_the_measured_one_did():
     v = np.gradient(q, t, axis=0)
     log = logged(np.round((q + sd * rng.standard_normal(q.shape)) / step) * step, 0 * q, axis.actuated)
     motion = model.motion(q, v, 0 * v, np.sign(v), t=t)
-    piece = SimpleNamespace(motion=motion, log=log, preparation=SimpleNamespace(position_cutoff_hz=60.0))
+    piece = SimpleNamespace(motion=motion, contacts=None, log=log, preparation=SimpleNamespace(position_cutoff_hz=60.0))
     found = []
     clean = NoiseOnlyLog.of(cast(Any, piece), model, log, 20.0)
     for _ in range(60):
@@ -124,7 +124,9 @@ def test_a_log_that_is_thinned_keeps_the_answer_with_its_phase():
     log = logged(noise, answer + 0.2 * rng.standard_normal(noise.shape), axis.actuated, rate)
     thin, zero = decimate_log(log, 50.0), np.zeros((len(t) // 8, 1))
     motion = model.motion(zero, zero, zero, zero, t=thin.t)
-    piece = SimpleNamespace(motion=motion, log=thin, preparation=SimpleNamespace(position_cutoff_hz=50.0))
+    piece = SimpleNamespace(
+        motion=motion, contacts=None, log=thin, preparation=SimpleNamespace(position_cutoff_hz=50.0)
+    )
     made = NoiseOnlyLog.of(cast(Any, piece), model, log, 30.0).draw(rng)
     assert made.rate_hz == pytest.approx(250.0)
     f, crossed = csd(made.channels["q_axis"], made.channels["tau_axis"], 250.0, nperseg=250)

@@ -62,7 +62,9 @@ def test_friction_of_many_joints_counts_all_of_them(monkeypatch) -> None:
         parameters=Parameters([Parameter(n, 0.1, "N") for n in names]),
     )
     monkeypatch.setattr(module, "compute_contrast_p_value", lambda *_: 0.01)
-    rows = _compare_friction(cast(Any, SimpleNamespace(actuated=("a", "b"), na=2)), cast(Any, estimate))
+    rows = _compare_friction(
+        cast(Any, SimpleNamespace(driven=("a", "b"), actuated=("a", "b"), na=2)), cast(Any, estimate)
+    )
     assert_allclose([row.p_value for row in rows], 0.02)
 
 
