@@ -50,6 +50,10 @@ def test_numbers_are_numbers_however_they_are_kept(kind: str) -> None:
         (np.array(["1", "two", "3"]), "log.csv, line 11, column x: 'two' is not a number"),
         (np.array(["1", "", "3"]), "log.csv, line 11, column x: the cell is empty"),
         (np.array([1.0, 2 * MAX_MAGNITUDE, 3.0]), "log.csv, line 11, column x: 2000000000000000.0 is beyond 1e[+]15"),
+        (
+            np.array([1.0, -1.1e282, 3.0]),
+            "log.csv, line 11, column x: -1.1e[+]282 is no reading .* the file is damaged there",
+        ),
         (np.array([-MAX_MAGNITUDE, 2.0, 3.0]), "log.csv, line 10, column x: -1000000000000000.0 is beyond"),
         (np.array([True, False]), "log.csv, line 10, column x: 'True' is not a number"),
         (np.array([10**400, 1, 2], object), "log.csv, line 10, column x: 1000.* is beyond"),

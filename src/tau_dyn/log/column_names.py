@@ -91,6 +91,10 @@ _OTHER_FILES = {
 """First bytes of a file that is no table -> its format, and a remedy."""
 
 
+MAX_READING = 1e25
+"""Largest number that any unit explains: a time in ns since 1970 is 2e18."""
+
+
 def describe_bad_cell(cell: object, largest: float) -> str:
     """Return why a cell is not a usable number, and a correct form."""
     text = "" if cell is None else str(cell).strip()
@@ -104,6 +108,8 @@ def describe_bad_cell(cell: object, largest: float) -> str:
         return f"{text!r} has a decimal comma; write numbers with a decimal point"
     if _DATE.match(text):
         return f"{text[:40]!r} is a date or a time of day; write seconds, such as 0.004, from any start"
+    if _is_number(text) and abs(float(text)) > MAX_READING:
+        return f"{float(text):.3g} is no reading in any unit: the file is damaged there; look at its rows, and remove those that are"
     if _is_number(text):
         return f"{text[:40]} is beyond {largest:.0e}, larger than anything in SI units; a scale in a column map brings it to them"
     return f"{text[:40]!r} is not a number; write it as 0.125 or 1.25e-1"
