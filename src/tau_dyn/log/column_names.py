@@ -109,7 +109,7 @@ def describe_bad_cell(cell: object, largest: float) -> str:
     if _DATE.match(text):
         return f"{text[:40]!r} is a date or a time of day; write seconds, such as 0.004, from any start"
     if _is_number(text) and abs(float(text)) > MAX_READING:
-        return f"{float(text):.3g} is no reading in any unit: the file is damaged there; look at its rows, and remove those that are"
+        return f"{text[:40]} is no reading in any unit: the file is damaged there; remove the damaged rows"
     if _is_number(text):
         return f"{text[:40]} is beyond {largest:.0e}, larger than anything in SI units; a scale in a column map brings it to them"
     return f"{text[:40]!r} is not a number; write it as 0.125 or 1.25e-1"
