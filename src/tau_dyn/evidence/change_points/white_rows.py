@@ -73,7 +73,10 @@ def make_rows(data: LogData, noise: Sequence[Autoregression]) -> OrderedRows | N
         own.append(placed)
     Q = orthonormalise(np.concatenate([whiten(known), *own], axis=1)[order])
     y, output = whiten([run.y for run in runs])[order], whiten.index[order]
-    Q = orthonormalise(np.column_stack([Q, _predict_outputs(y, Q, output)]))
+    made = _predict_outputs(y, Q, output)
+    new = made - Q @ (Q.T @ made)
+    new = new[:, np.linalg.norm(new, axis=0) > 1e-6 * np.linalg.norm(made, axis=0)]
+    Q = np.column_stack([Q, orthonormalise(new)])
     return OrderedRows(whiten, order, y, Q, whiten.t[order], output, whiten.block[order])
 
 
