@@ -162,6 +162,23 @@ def test_faulty_annotations_name_the_element(write, old: str, new: str, sentence
         load_robot_from_urdf(urdf.replace(old, new), "bars")
 
 
+def test_motors_of_joints_that_the_file_lacks_are_left_out(write) -> None:
+    """A file of one arm of a robot keeps the motors of the others; a name that is nearly one of its own is a slip."""
+    urdf = write.four_bar()
+    robot = load_robot_from_urdf(
+        urdf.replace("</robot>", '<transmission name="t"><joint name="left_hip"/></transmission></robot>'), "bars"
+    )
+    assert robot.actuated == load_robot_from_urdf(urdf, "bars").actuated
+    assert any("left_hip" in warning for warning in robot.warnings)
+
+
+def test_friction_below_zero_is_refused(write) -> None:
+    """An identification without bounds writes negative friction; it would feed energy."""
+    urdf = write.pendulum().replace("</joint>", '<dynamics damping="0.1" friction="-0.39"/></joint>', 1)
+    with raises_code("robot_structure", "pivot", "-0.39"):
+        load_robot_from_urdf(urdf, "rod")
+
+
 @pytest.mark.parametrize(
     ("attribute", "place"),
     [("mass value", "link 'rod_link'"), ("inertia ixx", "link 'rod_link'"), ("origin xyz", "link 'rod_link'"),

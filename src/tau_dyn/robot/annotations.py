@@ -16,7 +16,7 @@ from xml.etree.ElementTree import Element, ParseError
 from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
-from tau_dyn.exceptions import InputError
+from tau_dyn.exceptions import InputError, suggest_nearest
 from tau_dyn.robot.floating_base import FLAT, POINT, ContactFrame
 from tau_dyn.robot.gazebo import refuse_gazebo_loops, write_gazebo_mimics
 from tau_dyn.robot.numbers import (
@@ -179,7 +179,7 @@ def read_annotations(urdf: str, where: str) -> Annotations:
         assumed=tuple(e.get("what", "") for e in reader.ours("assumed")),
         mimics=reader.mimics(),
         friction=reader.friction(),
-        warnings=tuple(f"{where}: {e.get('text', '')}" for e in reader.ours("warning")),
+        warnings=(*(f"{where}: {e.get('text', '')}" for e in reader.ours("warning")), *reader.list_absent()),
         estimated=bool(reader.ours("estimated_inertias")),
         shared_drives=reader.shared_drives(),
         drive_scales=reader.drive_scales(),
@@ -193,6 +193,7 @@ class _Reader:
 
     def __init__(self, root: Element, where: str) -> None:
         self.root, self.where = root, where
+        self.absent: list[str] = []  # joints with a motor that the file lacks, as files of a part of a robot name them
         self.links = [e.get("name", "") for e in root.findall("link")]
         movable = [e for e in root.findall("joint") if e.get("type") != "fixed"]
         self.joints = {e.get("name", ""): self._child(e) for e in movable}
@@ -239,6 +240,12 @@ class _Reader:
                     self.number(element, key) if element.get(key) is not None else 0.0
                     for key in ("damping", "friction")
                 ]
+                if min(values) < 0:
+                    raise InputError(
+                        "robot_structure",
+                        f"{self.where}: joint '{name}': <dynamics> gives friction or damping of {min(values):g}, which is never "
+                        "below zero",
+                    )
                 if any(values):
                     found[name] = JointFriction(*values)
         return found
@@ -340,16 +347,29 @@ class _Reader:
                 actuators = element.findall("actuator")
                 drives = [self._reflected_inertia(actuator, joint) for actuator in actuators]
                 given = [inertia for inertia in drives if inertia is not None]
-                if joint.get("name") not in self.fixed:
+                if joint.get("name") not in self.fixed and not self._is_absent(joint):
                     name = self.joint_of(joint, "name")
                     if name not in found or given:
                         ratio = self._find_ratio(actuators[0], joint) if len(actuators) == 1 else None
                         found[name] = Transmission(name, sum(given) if given else None, abs(ratio or 1.0))
         for joint in self.root.findall("ros2_control/joint"):
-            if joint.find("command_interface") is not None and joint.get("name") not in self.fixed:
+            named = joint.find("command_interface") is not None and joint.get("name") not in self.fixed
+            if named and not self._is_absent(joint):
                 name = self.joint_of(joint, "name")
                 found.setdefault(name, Transmission(name, None))
         return tuple(found.values())
+
+    def _is_absent(self, joint: Element) -> bool:
+        """Return whether the file has neither a motor's joint nor one of a similar name, and keep its name."""
+        name = joint.get("name", "")
+        absent = bool(name) and name not in self.joints and not suggest_nearest(name, self.joints)
+        self.absent += [name] if absent else []
+        return absent
+
+    def list_absent(self) -> list[str]:
+        """Return a sentence about motors of joints that the file lacks; empty without one."""
+        names = ", ".join(dict.fromkeys(self.absent))
+        return [f"{self.where}: motors of joints that the file lacks are left out: {names}"] if names else []
 
     def shared_drives(self) -> tuple[tuple[str, str], ...]:
         """Return the pairs of joints that one transmission drives, such as a differential's."""
