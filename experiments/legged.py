@@ -145,7 +145,7 @@ def _change(inertial: Element, rng: np.random.Generator) -> None:
 
 @dataclass(frozen=True)
 class Fault:
-    """What a log hides.
+    """Hidden effects of a log.
 
     Attributes:
         joint: Joint with Stribeck friction; empty for none.

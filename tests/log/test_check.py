@@ -52,8 +52,10 @@ def test_a_joint_that_rests_before_it_moves_is_not_frozen_under_an_uneven_clock(
     q = motion(np.where(begun < 2.0, 0.25 * begun**2, begun - 1.0))
     v = np.gradient(q, t)
     tau = 10 * np.gradient(v, t) + 20 * np.tanh(v / 0.01) + rng.standard_normal(t.size)
-    log = Log(t, {"q_axis": np.round(q, 4), "tau_axis": tau})
+    log = Log(t, {"q_axis": np.round(q, 4), "q_ref_axis": q, "tau_axis": tau})
     assert "frozen" not in topics(check_log(log))
+    stuck = np.where((t > 10.0) & (t < 10.4), np.interp(10.0, t, q), q)
+    assert "frozen" in topics(check_log(log.with_channels(q_axis=np.round(stuck, 4))))
 
 
 def test_a_force_below_the_drives_resolution_is_not_frozen(axis_log):

@@ -14,7 +14,7 @@ from scipy import stats
 
 from tau_dyn.estimate import Autoregression, solve_scaled
 from tau_dyn.evidence.change_points.log_data import Hypothesis, LogData, list_drifts
-from tau_dyn.evidence.change_points.white_rows import MIN_FACTOR, OrderedRows, estimate_noise, make_rows
+from tau_dyn.evidence.change_points.white_rows import OrderedRows, estimate_noise, make_rows
 from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, compute_overdispersion, compute_score_statistics
 
 MAX_ORDER = 8
@@ -31,6 +31,8 @@ MIN_SCATTER_BLOCKS = 8
 """Joined blocks from which their scatter is used; fewer do not estimate a variance."""
 N_PULSE_TIMES = 40
 """Times between whose pairs a change is tried that ends within the log; both are refined afterwards."""
+MIN_FACTOR = 1e-3
+"""Smallest factor by which forces are divided; a dead channel has factor zero."""
 LEVEL = 1e-6
 """Significance level of any change over all logs of one fit. It is stricter than the level of a cause: ten blocks of a residual
 with structure have heavier tails than their F distribution, and a true change exceeds the bound by orders of magnitude."""

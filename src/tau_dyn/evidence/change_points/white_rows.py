@@ -14,10 +14,6 @@ from tau_dyn.evidence.null_model import fit_noise_model, orthonormalise, smooth
 SLOW_SPEED_SHARES = (0.02, 0.06, 0.2)
 """Speeds, relative to the fastest, at which missing Stribeck friction of the model may have decreased to a third: a logarithmic
 grid, as polynomials of the speed do not fit it."""
-N_FACTOR_STEPS = 10
-"""Alternating fits of the forces and of their constant factors; each takes away what the joints' shared bodies leave of it."""
-MIN_FACTOR = 1e-3
-"""Smallest factor by which forces are divided; a dead channel has factor zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,27 +69,13 @@ def make_rows(data: LogData, noise: Sequence[Autoregression]) -> OrderedRows | N
         own.append(placed)
     Q = orthonormalise(np.concatenate([whiten(known), *own], axis=1)[order])
     y, output = whiten([run.y for run in runs])[order], whiten.index[order]
-    made = _predict_outputs(y, Q, output)
+    # A torque constant that is wrong throughout contradicts the bodies that the joints share. Without a constant factor of each
+    # output in the model, a change of the factor right after the start of the log explains that.
+    made = (output[:, None] == np.unique(output)) * (Q @ (Q.T @ y))[:, None]
     new = made - Q @ (Q.T @ made)
     new = new[:, np.linalg.norm(new, axis=0) > 1e-6 * np.linalg.norm(made, axis=0)]
     Q = np.column_stack([Q, orthonormalise(new)])
     return OrderedRows(whiten, order, y, Q, whiten.t[order], output, whiten.block[order])
-
-
-def _predict_outputs(y: np.ndarray, Q: np.ndarray, output: np.ndarray) -> np.ndarray:
-    """Return the predicted forces of each output (R, m), zero at the rows of others, with a constant factor of its force.
-
-    A torque constant that is wrong throughout contradicts the bodies that the joints share. Without its factor in the model, a
-    change of the factor right after the start of the log would explain that.
-    """
-    own = (output[:, None] == np.unique(output)).astype(float)
-    factors = np.ones(own.shape[1])
-    for _ in range(N_FACTOR_STEPS):
-        f = Q @ (Q.T @ (y / (own @ factors)))
-        square = own.T @ f**2
-        factors = np.where(square > 0, own.T @ (y * f) / np.where(square > 0, square, 1.0), 1.0)
-        factors = np.where(np.abs(factors) > MIN_FACTOR, factors, 1.0)
-    return own * (Q @ (Q.T @ (y / (own @ factors))))[:, None]
 
 
 def _build_smooth_columns(regression: Regression) -> list[list[np.ndarray]]:
