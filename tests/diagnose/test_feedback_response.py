@@ -19,7 +19,7 @@ from tau_dyn.effects import CyclicRipple, build_friction_model
 from tau_dyn.estimate import BaseParameters
 from tau_dyn.evidence.candidate_scan import CandidateCause, GroupTest
 from tau_dyn.evidence.claims import MIN_AMPLITUDE_Z
-from tau_dyn.evidence.noise_only_bootstrap import estimate_noncentrality
+from tau_dyn.evidence.noise_only_bootstrap import compute_artefact_chance, estimate_noncentrality
 from tau_dyn.evidence.plausibility import is_distinct_from_zero
 from tau_dyn.log import Log, lowpass
 from tau_dyn.model import Model
@@ -203,7 +203,7 @@ def test_made_noise_counts_for_no_more_than_was_measured(made: float, counts: fl
     e, C = rng.standard_normal(50), rng.standard_normal((50, 1))
     blank = SimpleNamespace(whiten_columns=lambda columns: C, e=e, gram=lambda rows: rows.T @ rows, scale=made)
     found = estimate_noncentrality([cast(Any, blank)], cast(Any, SimpleNamespace(scale=1.0)), [[]], np.array([False]))
-    assert found == pytest.approx(counts * float(C[:, 0] @ e) ** 2 / float(C[:, 0] @ C[:, 0]))
+    assert found[0] == pytest.approx(counts * float(C[:, 0] @ e) ** 2 / float(C[:, 0] @ C[:, 0]))
 
 
 def test_what_draws_of_encoder_noise_make_of_a_column_is_their_mean_without_their_own_chance():
@@ -222,10 +222,57 @@ def test_what_draws_of_encoder_noise_make_of_a_column_is_their_mean_without_thei
         null_model = cast(Any, SimpleNamespace(scale=1.0))
         return estimate_noncentrality(
             cast(Any, noise_only_models), null_model, [[]] * len(noise_only_models), np.array([False])
-        )
+        )[0]
 
     assert seen(2.0) == pytest.approx(4.0, abs=0.6)
     assert seen(0.0) < 0.25
+
+
+def test_a_line_whose_phase_decides_what_a_column_sees_scatters_from_draw_to_draw():
+    """A column sees 20 cos(phase) of a line: noncentralities of mean 200 and variance 400^2/8, while a fixed one has no scatter."""
+    rng = np.random.default_rng(9)
+    C = rng.standard_normal((50, 1))
+    unit = C[:, 0] / np.linalg.norm(C)
+
+    def seen(sizes: np.ndarray) -> tuple[float, float]:
+        drawn = [
+            SimpleNamespace(
+                whiten_columns=lambda columns: C,
+                e=rng.standard_normal(50) + size * unit,
+                gram=lambda rows: rows.T @ rows,
+                scale=1.0,
+            )
+            for size in sizes
+        ]
+        scale = cast(Any, SimpleNamespace(scale=1.0))
+        return estimate_noncentrality(cast(Any, drawn), scale, [[]] * len(sizes), np.array([False]))
+
+    mean, variance = seen(20 * np.cos(rng.uniform(0, 2 * np.pi, 2000)))
+    assert mean == pytest.approx(200, rel=0.1)
+    assert variance == pytest.approx(20_000, rel=0.2)
+    assert seen(np.full(2000, 20.0))[1] < 300
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.5, 1.0])
+def test_four_draws_of_a_line_do_not_make_another_phase_of_it_significant(phase: float):
+    """The p-value of a line of amplitude 20 at any phase is above 1 % for nine of ten sets of four draws of it."""
+    rng = np.random.default_rng(10)
+    C = rng.standard_normal((50, 1))
+    unit, scale = C[:, 0] / np.linalg.norm(C), cast(Any, SimpleNamespace(scale=1.0))
+    found = []
+    for _ in range(200):
+        drawn = [
+            SimpleNamespace(
+                whiten_columns=lambda columns: C,
+                e=rng.standard_normal(50) + 20 * np.cos(angle) * unit,
+                gram=lambda rows: rows.T @ rows,
+                scale=1.0,
+            )
+            for angle in rng.uniform(0, 2 * np.pi, 4)
+        ]
+        statistic = (20 * np.cos(phase) + rng.standard_normal()) ** 2
+        found.append(compute_artefact_chance(statistic, cast(Any, drawn), scale, [[]] * 4, np.array([False])))
+    assert np.mean(np.array(found) > 0.01) > 0.9
 
 
 def test_motion_that_fades_into_the_noise_is_not_taken_for_an_answer():
@@ -250,7 +297,7 @@ def test_a_joint_on_which_encoder_noise_makes_the_cause_is_left_out(monkeypatch)
     monkeypatch.setattr(
         noise_only_bootstrap,
         "estimate_noncentrality",
-        lambda noise_only_models, null_model, columns, *_: made[columns[0]],
+        lambda noise_only_models, null_model, columns, *_: (made[columns[0]], 0.0),
     )
 
     def fit(joint: str, T: float) -> GroupTest:

@@ -1,6 +1,7 @@
 """What a further column would add: against brute-force regressions under the dense covariance of the noise."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,13 @@ from scipy import linalg, stats
 from scipy.optimize import nnls
 
 from tau_dyn.effects import QuadraticDrag, Stribeck, ViscousAsymmetry
-from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, compute_score_statistics, orthonormalise
+from tau_dyn.evidence.null_model import (
+    MIN_UNABSORBED_SHARE,
+    WhiteResidual,
+    compute_robust_chance,
+    compute_score_statistics,
+    orthonormalise,
+)
 
 
 def explained(null_model, C, nonnegative=None):
@@ -171,3 +178,39 @@ def test_an_orthonormal_basis_leaves_dependent_columns_out(rng):
     assert Q.shape == (50, 2)
     assert_allclose(Q.T @ Q, np.eye(2), atol=1e-12)
     assert_allclose(Q @ (Q.T @ (a - 3 * b)), a - 3 * b, atol=1e-9)
+
+
+def stand_in(rng, scatter, rows=40, signal=0.0):
+    """Return white rows in blocks whose noise has these standard deviations, and functions of a motion that grows in time."""
+    n = len(scatter) * rows
+    block, t = np.repeat(np.arange(len(scatter)), rows), np.linspace(0, 1, n)
+    C = np.polynomial.legendre.legvander(t**2 * np.sin(110 * t + rng.uniform(0, 6)), 6)[:, 1:]
+    Q = orthonormalise(rng.standard_normal((n, 3)))
+    e = signal * C[:, 1] + scatter[block] * rng.standard_normal(n)
+    whiten = SimpleNamespace(block=block)
+    return WhiteResidual(None, (0,), whiten, Q, e - Q @ (Q.T @ e), (), 1.0), C
+
+
+def test_blocks_with_more_noise_do_not_make_a_statistic_significant(rng):
+    """Noise grows with the motion: at 1 % the noise model rejects more than 5 % of clean residuals, the blocks 1 to 3 %."""
+    scatter = np.linspace(0.2, 1.8, 20)
+    by_model, by_blocks = [], []
+    for _ in range(400):
+        null_model, C = stand_in(rng, scatter)
+        by_model.append(stats.chi2.sf(explained(null_model, C), C.shape[1]))
+        by_blocks.append(compute_robust_chance(null_model, C))
+    assert np.mean(np.array(by_model) < 0.01) > 0.05
+    assert np.mean(np.array(by_blocks) < 0.01) < 0.03
+
+
+def test_white_noise_has_the_same_significance_by_blocks(rng):
+    """Of 400 clean residuals 1 to 8 % are below 5 %; a force as large as the noise is seen in each of 20 logs of 80 s."""
+    clean = [compute_robust_chance(*stand_in(rng, np.ones(20))) for _ in range(400)]
+    assert 0.01 < np.mean(np.array(clean) < 0.05) < 0.08
+    assert max(compute_robust_chance(*stand_in(rng, np.ones(40), signal=1.0)) for _ in range(20)) < 1e-3
+
+
+def test_functions_that_one_block_alone_shows_stay_testable(rng):
+    """A single block has no scatter around its fit; the p-value is still one, and none of the rows is infinite."""
+    null_model, C = stand_in(rng, np.ones(1))
+    assert 0 <= compute_robust_chance(null_model, C) <= 1

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -82,6 +83,10 @@ def _add_ground(piece: PreparedSegment, force: np.ndarray) -> np.ndarray:
 
 _WIDEST_CUTOFF_SHARE = 0.45
 """Low-pass of a motion that fills the whole band, as a share of the rate."""
+_MIN_LEVEL_STEPS = 0.1
+"""Least noise before the rounding, in steps. Rounding hides smaller noise, and without any the steps' high harmonics are lines."""
+_STEADY_SHARE = 1 / 3
+"""Low-pass of positions that hold no lines of rounding errors, as a share of the positions' own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +137,7 @@ class NoiseOnlyLog:
         smooth_hz = min(smooth_hz, cutoff)
         smooth = lowpass(measured, smooth_hz, log.rate_hz)
         step = estimate_quantisation_step(measured)
-        level = np.sqrt(np.maximum(estimate_encoder_noise(measured) ** 2 - step**2 / 12, 0))
+        level = np.sqrt(np.maximum(estimate_encoder_noise(measured) ** 2 - step**2 / 12, (_MIN_LEVEL_STEPS * step) ** 2))
         taps = estimate_feedback_taps(log, joints, smooth_hz)
         read = replace(log, channels={f"q_{joint}": smooth[:, k] for k, joint in enumerate(joints)})
         return cls(piece.log, joints, q, force, read, step, level, smooth_hz, taps, cutoff)
@@ -147,21 +152,25 @@ class NoiseOnlyLog:
     def draw_noise(self, rng: np.random.Generator) -> np.ndarray:
         """Return encoder noise (N, na) [m or rad] at the rate of the recording.
 
-        Rounding errors repeat with each step. Where the steps pass more often than the low-pass lets through, what is left below
-        it is due to noise and changes of speed, which make the errors independent and uniform (Widrow & Kollar 2008). Smoothed
-        positions lack both: rounded again they would repeat. Slower, the errors follow from the position.
+        Slow positions give their rounding errors themselves. Fast ones pass many steps within the low-pass: their errors have
+        the lines of a constant speed, and are nearly white otherwise. The positions without noise follow such lines, which are
+        partly below the low-pass, and rounded again would have too small errors. They are smoothed further there.
         """
         smooth = self.read.joint("q", self.joints)
         noise = self.level * rng.standard_normal(smooth.shape)
-        phase = rng.uniform(size=len(self.step))  # on the grid of the logs a rest would be exact
         if not np.any(self.step > 0):
             return noise
         grid = np.where(self.step > 0, self.step, 1.0)
-        rounded = (np.round((smooth + noise) / grid + phase) - phase) * grid - smooth
-        independent = noise + self.step * rng.uniform(-0.5, 0.5, smooth.shape)
+        phase = rng.uniform(size=len(self.step))  # on the grid of the logs a rest would be exact
         steps_hz = np.abs(np.gradient(smooth, axis=0)) * self.read.rate_hz / grid
-        drawn = np.where(steps_hz > self.smooth_hz, independent, rounded)
-        return np.where(self.step > 0, drawn, noise)
+        path = np.where(steps_hz > self.smooth_hz, self._steady, smooth)
+        rounded = (np.round((path + noise) / grid + phase) - phase) * grid - path
+        return np.where(self.step > 0, rounded, noise)
+
+    @cached_property
+    def _steady(self) -> np.ndarray:
+        """Positions (N, na) whose speed does not follow the lines of rounding errors."""
+        return lowpass(self.read.joint("q", self.joints), _STEADY_SHARE * self.smooth_hz, self.read.rate_hz)
 
     def _build(self, log: Log, q: np.ndarray, tau: np.ndarray) -> Log:
         """Return a log with these positions and forces (n, na), and its other channels."""

@@ -4,7 +4,9 @@ Encoder noise is in the columns and, times a mass, in the residual; whitening ca
 baseline is run along the measured motion without noise, its positions get new noise of the level measured in the logs, its
 forces the controller's response to that noise, and the whole preparation is repeated. The mean statistic of a cause on several
 draws is the noncentrality that its statistic would have on a clean log: the p-value is that of a noncentral chi-square, with
-twice that noncentrality, as it is an estimate itself.
+twice that noncentrality, as it is an estimate itself. Rounding at a constant speed leaves lines in the spectrum, whose phase
+decides what a column sees of them: the noncentrality then differs from draw to draw, and the p-value is its mean over a gamma
+distribution with the draws' mean and variance.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from scipy import stats
+from scipy import special, stats
 
 from tau_dyn.effects import Effect
 from tau_dyn.evidence.candidate_scan import FAMILY_LEVEL, GROUP_LEVEL, CandidateCause, find_nonnegative
@@ -24,6 +26,9 @@ from tau_dyn.evidence.null_model import MIN_UNABSORBED_SHARE, NullModel, WhiteRe
 N_BOOTSTRAP_DRAWS = 4
 """Draws of encoder noise; the statistic of a cause on one of them may be near zero, or four times the mean."""
 NONCENTRALITY_SAFETY_FACTOR = 2.0  # factor for an estimate from few draws, which is wrong by up to a factor of two
+_N_GAMMA_NODES = 24
+_MAX_GAMMA_SHAPE = 100.0
+"""Shape of a gamma distribution above which it scatters by less than a tenth of its mean, which is taken for it."""
 
 
 class NoiseOnlyBootstrap:
@@ -85,8 +90,20 @@ def compute_artefact_chance(
     absorbed: float = MIN_UNABSORBED_SHARE,
 ) -> float:
     """Return the p-value of a statistic of these columns under encoder noise on each null model, by a noncentral chi-square."""
-    bias = NONCENTRALITY_SAFETY_FACTOR * estimate_noncentrality(noise_only_models, null_model, columns, sided, absorbed)
-    return float(stats.ncx2.sf(statistic, len(sided), bias) if bias > 0 else stats.chi2.sf(statistic, len(sided)))
+    mean, variance = estimate_noncentrality(noise_only_models, null_model, columns, sided, absorbed)
+    if not mean > 0:
+        return float(stats.chi2.sf(statistic, len(sided)))
+    biases, weights = _list_gamma_nodes(mean, variance)
+    return float(weights @ stats.ncx2.sf(statistic, len(sided), NONCENTRALITY_SAFETY_FACTOR * biases))
+
+
+def _list_gamma_nodes(mean: float, variance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the nodes and weights (n,) of an expectation over a gamma distribution; one node if its scatter is small."""
+    shape = mean**2 / variance if variance > 0 else np.inf
+    if shape > _MAX_GAMMA_SHAPE:
+        return np.array([mean]), np.ones(1)
+    nodes, weights = special.roots_genlaguerre(_N_GAMMA_NODES, shape - 1)
+    return nodes * mean / shape, weights / np.sum(weights)
 
 
 def estimate_noncentrality(
@@ -95,17 +112,19 @@ def estimate_noncentrality(
     columns: Sequence[Sequence[np.ndarray]],
     sided: np.ndarray,
     absorbed: float = MIN_UNABSORBED_SHARE,
-) -> float:
-    """Return the statistic of columns on the misfit due to encoder noise, in units of the measured noise.
+) -> tuple[float, float]:
+    """Return mean and variance of the statistic of columns on the misfit due to encoder noise, in units of the measured noise.
 
-    It is the mean over draws of the noise, minus the contribution of the draws' own scatter to the mean of squares. Encoder
-    noise cannot cause more than the measured noise. If it seems so, a loop followed it: the power of the misfit, and of the
-    columns' part of it, is `|S|^2` times that of the simulated logs.
+    The mean is that over draws of the noise, minus the contribution of the draws' own scatter to the mean of squares; the
+    variance is what the draws scatter beyond a noncentral chi-square. Encoder noise cannot cause more than the measured noise.
+    If it seems so, a loop followed it: the power of the misfit, and of the columns' part of it, is `|S|^2` times that of the
+    simulated logs.
     """
     T = [
         compute_score_test(b, b.whiten_columns(c), np.zeros_like(sided), absorbed)[0]
         for b, c in zip(noise_only_models, columns, strict=True)
     ]
-    share = [min(1.0, b.scale / null_model.scale) ** 2 for b in noise_only_models]
-    chance = len(sided) * (1 - 1 / len(T))
-    return max(0.0, float(np.mean(T)) - chance) * float(np.mean(share))
+    share = float(np.mean([min(1.0, b.scale / null_model.scale) ** 2 for b in noise_only_models]))
+    mean = max(0.0, float(np.mean(T)) - len(sided) * (1 - 1 / len(T)))
+    scatter = float(np.var(T, ddof=1)) if len(T) > 1 else 0.0
+    return mean * share, max(0.0, scatter - 2 * len(sided) - 4 * mean) * share**2

@@ -21,7 +21,7 @@ from typing import Any, cast
 
 import numpy as np
 from numpy.polynomial import legendre
-from scipy import linalg
+from scipy import linalg, stats
 
 from tau_dyn.effects import Effect
 from tau_dyn.estimate import Autoregression, Whitener, fit_autoregression, solve_scaled
@@ -137,6 +137,8 @@ MIN_UNABSORBED_SHARE = 1e-4
 """Share of a column's square that the baseline leaves, below which the baseline's refit absorbs it. It is not smaller because
 the baseline's columns contain encoder noise: a smooth copy of one of them would keep that noise as its residual, and detect
 it."""
+_MIN_FREE_SHARE = 0.02
+"""Least share of a direction in a block that its fit is taken to leave: a direction that one block alone shows has no scatter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,6 +310,33 @@ def compute_overdispersion(block: np.ndarray, scores: np.ndarray, square: float)
         return 1.0
     count, ratio = len(np.unique(block)), float(np.sum(np.bincount(block, scores) ** 2)) / square
     return max(1.0, (count * ratio + PRIOR_WEIGHT_BLOCKS) / (count + PRIOR_WEIGHT_BLOCKS))
+
+
+def compute_robust_chance(null_model: WhiteResidual, C: np.ndarray, absorbed: float = MIN_UNABSORBED_SHARE) -> float:
+    """Return the p-value of the statistic of white rows (R, k) by the scatter of 2 s blocks instead of the noise model.
+
+    The covariance of the scores is that of the blocks around the fit, corrected for the fit's share of each block ("CR2", Bell
+    & McCaffrey 2002); the statistic is a weighted sum of squares under it, of as many degrees of freedom as its trace and square
+    give (Satterthwaite). Many functions over few blocks with motion have few of them.
+    """
+    s, G = C.T @ null_model.e, null_model.gram(C)
+    norm = np.sqrt(np.maximum(np.sum(C**2, axis=0), 1e-300))
+    values, vectors = np.linalg.eigh(G / np.outer(norm, norm))
+    kept = values > absorbed
+    if not np.any(kept):
+        return 1.0
+    W = vectors[:, kept] / np.sqrt(values[kept]) / norm[:, None]
+    rows, z = null_model.project_out(C) @ W, W.T @ s
+    M = np.zeros((len(z), len(z)))
+    for block in np.unique(null_model.whiten.block):
+        inside = null_model.whiten.block == block
+        share = rows[inside].T @ rows[inside]
+        left = rows[inside].T @ null_model.e[inside] - share @ z
+        values, vectors = np.linalg.eigh(share)
+        left = vectors @ (vectors.T @ left / np.sqrt(np.maximum(1 - values, _MIN_FREE_SHARE)))
+        M += np.outer(left, left)
+    trace, square = float(np.trace(M)), float(np.sum(M**2))
+    return float(stats.chi2.sf(z @ z * trace / square, trace**2 / square)) if square > 0 else 1.0
 
 
 def count_effective_tests(tails: np.ndarray, seen: int) -> float:

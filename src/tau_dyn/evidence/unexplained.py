@@ -30,6 +30,7 @@ from tau_dyn.evidence.null_model import (
     WHOLE_TIME,
     WhiteResidual,
     build_smooth_columns,
+    compute_robust_chance,
     compute_score_test,
     fit_noise_models,
 )
@@ -224,11 +225,13 @@ def _test(
     statistic, s, G = compute_score_test(null_model, C, free, MIN_LEFT_SHARE)
     statistic /= compute_fit_overdispersion(null_model, C, s, G)
     share = min(1.0, statistic / power)
+    by_blocks = compute_robust_chance(null_model, C, MIN_LEFT_SHARE)
     if noise is None:
-        return float(stats.chi2.sf(statistic, len(free))), share
+        return max(by_blocks, float(stats.chi2.sf(statistic, len(free)))), share
     made = [_build_columns(clean, output) for clean in noise.channels]
     noise_only_models = noise.fit_null_models(null_model, effects)
-    return compute_artefact_chance(statistic, noise_only_models, null_model, made, free, MIN_LEFT_SHARE), share
+    by_noise = compute_artefact_chance(statistic, noise_only_models, null_model, made, free, MIN_LEFT_SHARE)
+    return max(by_blocks, by_noise), share
 
 
 def _build_columns(measurements: Measurements, output: int) -> list[np.ndarray]:
