@@ -162,6 +162,28 @@ def test_a_controllers_export_with_numbered_joints_is_a_pose_file(tmp_path) -> N
     assert propose_pose_columns(path, robot) is None  # a clock makes it a log
 
 
+@pytest.mark.parametrize("first", ["joints", "pose"])
+def test_a_table_of_poses_without_a_header_is_read_by_the_robot_file(tmp_path: Path, first: str) -> None:
+    """Six angles in degrees and a position, or the position first, separated by blanks: the robot file tells which."""
+    robot = six_axes()
+    poses = measure(robot)
+    parts = [np.degrees(poses.q), poses.position]
+    path = tmp_path / "poses.txt"
+    np.savetxt(path, np.hstack(parts if first == "joints" else parts[::-1]), fmt="%.9f")
+    proposal = propose_pose_columns(path, robot)
+    assert proposal is not None
+    read = read_poses(path, robot.actuated, columns=proposal.to_map())
+    np.testing.assert_allclose(read.q, poses.q, atol=1e-9)
+    np.testing.assert_allclose(read.position, poses.position, atol=1e-9)
+
+
+def test_nine_columns_that_no_robot_explains_are_no_pose_file(tmp_path: Path, rng) -> None:
+    """A table of nine random numbers a row is not read as six joints and a position."""
+    path = tmp_path / "numbers.txt"
+    np.savetxt(path, rng.uniform(-1, 1, (40, 9)), fmt="%.9f")
+    assert propose_pose_columns(path, six_axes()) is None
+
+
 def test_a_log_without_a_header_is_no_pose_file(tmp_path: Path) -> None:
     """A controller's log begins with numbers, of which some are equal, as speeds at rest are: `columns` reads it as a log."""
     path = tmp_path / "controller.csv"

@@ -16,13 +16,14 @@ import pytest
 from rich.console import Console
 
 from tau_dyn.effects import NO_EXPERIMENT
-from tau_dyn.evidence import Finding, Unexplained, Untestable
+from tau_dyn.evidence import Finding, Gain, Unexplained, Untestable
 from tau_dyn.parameters import Parameter
 from tau_dyn.render import build_page, print_result, write_report
 from tau_dyn.render.chart import draw_figure
 from tau_dyn.render.kinds.diagnosis_words import (
     build_signature_figures,
     describe_confirmation,
+    describe_gain,
     describe_unexplained,
     format_value,
     list_untestable,
@@ -120,6 +121,12 @@ def test_a_step_of_two_alike_is_not_guessed(diagnosed):
     assert find_step_finding("cyclic_ripple other", (ripple, twin)) is twin
     assert find_step_finding("cyclic_ripple", (ripple, twin)) is None
     assert find_step_finding("cyclic_ripple", (ripple,)) is ripple
+
+
+def test_a_cause_that_raises_the_error_is_said_to_leave_more():
+    """A reduction of -10 % with the interval -27 to 6 % is 10 % more, -6 to 27 %."""
+    gain = Gain(2.0, 2.2, -10.0, (-27.0, 6.0))
+    assert describe_gain(gain).startswith("10 % more residual, 95 % interval [−6, 27] %")  # noqa: RUF001
 
 
 def test_cards_say_all_there_is_to_a_finding(page, diagnosed):

@@ -267,13 +267,18 @@ def propose_pose_columns(path: str | Path, robot: Robot) -> ColumnProposal | Non
     """Return the column map proposed for a pose file, None if a file holds no poses of a robot.
 
     Args:
-        path: CSV or Parquet.
+        path: A text table or Parquet.
         robot: The robot.
 
     Raises:
         InputError: A pose file with cells that are no numbers.
     """
-    return build_pose_proposal(path, robot, lambda poses: _find_convention(robot, poses, Options())[0])
+
+    def explains(poses: PoseSet) -> bool:
+        found, geometry, limits = _find_convention(robot, poses, Options())
+        return found is not None or is_explained(measure_as_written(geometry, poses, limits))
+
+    return build_pose_proposal(path, robot, lambda poses: _find_convention(robot, poses, Options())[0], explains)
 
 
 def _find_convention(

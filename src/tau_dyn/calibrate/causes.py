@@ -183,8 +183,9 @@ def _describe(
     if gain.orientation_rms_after is not None and gain.orientation_rms_before is not None:
         with_it += f" and {format_quantity(gain.orientation_rms_after, 'rad')}"
         without += f" and {format_quantity(gain.orientation_rms_before, 'rad')}"
-    less, low, high = (format_percent(x) for x in (gain.reduction_percent, *gain.ci95))
-    share = f"{less} less, 95 % interval [{low}, {high}]"
+    word, sign = ("less", 1) if gain.reduction_percent >= 0 else ("more", -1)
+    low, high = (format_percent(x) for x in sorted(sign * x for x in gain.ci95))
+    share = f"{format_percent(abs(gain.reduction_percent))} {word}, 95 % interval [{low}, {high}]"
     return f"{sentence}{where}: {with_it} rms with it, {without} without ({share})."
 
 

@@ -30,29 +30,37 @@ from tau_dyn.log import ColumnMap, ColumnProposal, Source, Table, format_names, 
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.robot import Robot
 
+_TABLES = (".csv", ".parquet", ".txt", ".dat", ".tsv")
+_MAX_BARE_POSES = 5000
+"""Rows of a file without a header above which it is a log."""
 _OF_LOGS = {"tau", "torque", "effort", "force", "current", "cmd", "ref"}
 """Words in the columns of a log of forces or commands, which is no pose file."""
 
 
 def build_pose_proposal(
-    path: str | Path, robot: Robot, find: Callable[[PoseSet], FoundReading | None]
+    path: str | Path,
+    robot: Robot,
+    find: Callable[[PoseSet], FoundReading | None],
+    explains: Callable[[PoseSet], bool],
 ) -> ColumnProposal | None:
     """Return the map proposed for a pose file, None if the file holds no poses of a robot.
 
     Args:
-        path: CSV or Parquet.
+        path: A text table or Parquet.
         robot: The robot.
         find: Returns the conventions of poses, as `calibrate` finds them.
+        explains: Returns whether the robot file explains poses as they are written, or by conventions that `find` returns.
 
     Raises:
         InputError: A pose file with cells that are no numbers.
     """
-    if Path(path).suffix.lower() not in (".csv", ".parquet"):
+    if Path(path).suffix.lower() not in _TABLES or Path(path).is_dir():
         return None
     table = read_table(path, foreign=True)
     sources = {name: name for name in table.cells} | find_pose_columns(table, robot.actuated)
     joints = [f"q_{joint}" for joint in robot.actuated]
     numbered = {} if set(joints) <= set(sources) else _find_numbered_joints(table, robot)
+    numbered = numbered or _find_bare_columns(path, table, robot, explains)
     sources |= {name: source.column for name, source in numbered.items()}
     words = {word for column in table.cells for word in split_words(column)}
     if not all(name in sources for name in (*joints, *POSITION)) or words & _OF_LOGS:
@@ -96,11 +104,33 @@ def _find_numbered_joints(table: Table, robot: Robot) -> dict[str, Source]:
     return {f"q_{joint}": Source(column) for joint, (_, column) in zip(robot.actuated, runs[0], strict=True)}
 
 
+def _find_bare_columns(
+    path: str | Path, table: Table, robot: Robot, explains: Callable[[PoseSet], bool]
+) -> dict[str, Source]:
+    """Return the columns of all joints and positions, by our names, in a file without a header that holds such poses.
+
+    Joints may come before or after the pose, whose orientation, if there is one, has three numbers or four; only the robot file
+    tells whether they do. Orientations are left for a map by hand, as their kind is unknown.
+    """
+    columns, n = list(table.cells), len(robot.actuated)
+    is_bare = columns == [str(k + 1) for k in range(len(columns))]
+    if not is_bare or len(columns) - n not in (3, 6, 7) or table.n_rows > _MAX_BARE_POSES:
+        return {}
+    joints = [f"q_{joint}" for joint in robot.actuated]
+    for first, place in ((0, n), (len(columns) - n, 0)):
+        named = dict(zip(joints, columns[first : first + n], strict=True))
+        named |= dict(zip(POSITION, columns[place : place + 3], strict=True))
+        found = {name: Source(column) for name, column in named.items()}
+        if explains(read_poses(path, robot.actuated, columns=ColumnMap(found))):
+            return found
+    return {}
+
+
 def _describe_numbered(numbered: Mapping[str, Source], robot: Robot) -> tuple[str, ...]:
     """Return the doubt about joints whose columns carry numbers."""
     if not numbered:
         return ()
-    columns = [source.column for source in numbered.values()]
+    columns = [numbered[f"q_{joint}"].column for joint in robot.actuated]
     joints = format_names(robot.actuated)
     sentence = f"{columns[0]} to {columns[-1]} carry numbers, not names, and are taken for {joints} in this order"
     return (CodedWarning("column_unsure", sentence),)

@@ -71,7 +71,7 @@ def read_poses(
     Raises:
         InputError: Columns are missing, cells are no numbers, or quaternions no orientations.
     """
-    table = read_table(path)
+    table = read_table(path, foreign=columns is not None)
     if columns is not None:
         table = _rename_columns(table, columns if isinstance(columns, ColumnMap) else ColumnMap.load(columns))
     table = _follow_mimics(table, mimics or {})
@@ -260,7 +260,8 @@ def _check_columns(table: Table, actuated: Sequence[str], passive: Sequence[str]
             f"{table.name} has no column {format_names(missing)}; calibration poses need {format_names(wanted)} "
             f"(or {DISTANCE}, or the touched object: {format_names(TOUCHES)}) and, where the orientation "
             f"was measured, {format_names(QUATERNION)}, or a rotation vector or Euler angles {format_names(ANGLES)}; "
-            f"it has {format_names(table.cells, limit=MAX_LISTED)}",
+            f"it has {format_names(table.cells, limit=MAX_LISTED)}. `tau-dyn columns {table.name} ROBOT --out map.yaml` proposes "
+            "a map for --columns",
         )
     some = [name for name in QUATERNION if name in table.cells]
     if some and len(some) < 4:

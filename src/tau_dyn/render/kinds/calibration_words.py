@@ -137,9 +137,10 @@ def describe_inputs(found: Calibration) -> str:
         "split": f"evaluated on {count(_n(found), 'pose')} held out at random",
         "cross-validated": "evaluated by cross-validation (too few poses to hold out)",
     }[found.split]
-    noise = found.fit.noise
+    residual = found.fit.noise
     seen = (
-        f"; noise {format_length(noise[0])}" + (f" and {format_angle(noise[1])}" if len(noise) > 1 else "")
+        f"; residual {format_length(residual[0])} a coordinate"
+        + (f" and {format_angle(residual[1])}" if len(residual) > 1 else "")
         if found.fit.kind == "forward"
         else ""
     )

@@ -163,10 +163,11 @@ def describe_gain(gain: Gain | None, unit: str = "") -> str:
     """Return the gain of a cause on test data, with its interval."""
     if gain is None:
         return "not applicable: the refit absorbs the effect, so the error does not change"
-    low, high = (r.format_number(x, 2) for x in gain.ci95)
+    word, sign = ("less", 1) if gain.reduction_percent >= 0 else ("more", -1)
+    low, high = (r.format_number(x, 2) for x in sorted(sign * x for x in gain.ci95))
     before, after = r.format_quantity(gain.rms_before, unit), r.format_quantity(gain.rms_after, unit)
-    less = f"{r.format_number(gain.reduction_percent, 2)} % less residual"
-    return f"{less}, 95 % interval [{low}, {high}] %; {before} → {after} rms"
+    change = f"{r.format_number(abs(gain.reduction_percent), 2)} % {word} residual"
+    return f"{change}, 95 % interval [{low}, {high}] %; {before} → {after} rms"
 
 
 def describe_confirmation(confirmation: tuple[float, float] | None) -> str:
