@@ -374,6 +374,7 @@ class Model(Shown):
             tool=about.get("tool") or None,
             arguments=about.get("arguments"),
             sha256=str(about.get("sha256", "")),
+            hold_passive=False,
         ).untied(str(name) for name in content.get("untied", []))
         model = cls.of(robot, read_effects(content["effects"], robot, str(path)), content.get("provenance"))
         saved = Parameters.from_list(content["parameters"], str(path))

@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.model import Model
 from tau_dyn.robot import load_robot_from_urdf
 from tau_dyn.robot.held_joints import hold_joints
 
@@ -49,6 +50,31 @@ def test_a_held_slide_is_welded_at_its_place(write):
     assert_allclose(
         place(held, {"turn": 0.3}, "b_link"), place(urdf, {"turn": 0.3, "slide": 0.2}, "b_link"), atol=1e-12
     )
+
+
+def test_links_behind_a_joint_without_a_motor_are_part_of_the_body_before(write, rng):
+    """The elbow without a motor: one body has the mass of both links and gives the forces of two links at rest to each other."""
+    robot = load_robot_from_urdf(write.two_link(), "arm", actuated=["shoulder"])
+    apart = load_robot_from_urdf(write.two_link(), "arm", actuated=["shoulder"], hold_passive=False)
+    assert robot.merged_links == {"lower_link": "upper_link"} and len(apart.links) == len(robot.links) + 1
+    assert robot.parameters["upper_link.mass"].value == sum(
+        p.value for p in apart.parameters if p.name.endswith(".mass")
+    )
+    q, v, a = rng.uniform(-1, 1, (3, 20, 1))
+    want = Model.of(apart).mechanism.inverse_dynamics(q, v, a)
+    assert_allclose(Model.of(robot).mechanism.inverse_dynamics(q, v, a), want, rtol=1e-12)
+    assert "held still at zero" in robot.warnings[-1] and robot.warnings[-1] == apart.warnings[-1]
+
+
+def test_a_saved_model_with_a_held_link_of_its_own_keeps_it(write, tmp_path):
+    """Models saved with bodies behind held joints are read with these bodies, and give the same forces."""
+    apart = load_robot_from_urdf(write.two_link(), "arm", actuated=["shoulder"], hold_passive=False)
+    Model.of(apart).save(tmp_path / "model.yaml")
+    read = Model.load(tmp_path / "model.yaml")
+    assert "lower_link.mass" in read.parameters
+    x = np.full((1, 1), 0.4)
+    want = Model.of(apart).mechanism.inverse_dynamics(x, x, x)
+    assert_allclose(read.mechanism.inverse_dynamics(x, x, x), want, rtol=1e-12)
 
 
 def test_a_planar_base_without_a_drive_is_held_at_zero(write):

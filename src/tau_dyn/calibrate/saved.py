@@ -342,4 +342,5 @@ def _load_robot(content: Mapping[str, Any]) -> Robot:
         tool=str(about.get("tool") or "") or None,
         arguments=arguments,
         sha256=str(about.get("sha256", "")),
+        hold_passive=False,
     )

@@ -171,11 +171,14 @@ def load_robot_from_urdf(
     lock_springs: bool = True,
     passive: Iterable[str] = (),
     packages: Mapping[str, str | Path] | None = None,
+    hold_passive: bool = True,
 ) -> Robot:
     """Build a robot from URDF text; `source` is its name in messages and saved models. See `load_robot`.
 
     Joints with a `<tau_dyn:spring>` are locked at zero, so that the robot is rigid; `lock_springs=False` leaves them movable.
     Joints named `passive` are not actuated unless the text or `actuated` names them. Meshes are searched in `packages`.
+    Joints of a tree that no motor moves become fixed ones in the text, so that the links behind them are part of one body;
+    `hold_passive=False` holds them at zero and leaves their links bodies of their own, as older saved models have them.
     """
     notes = read_annotations(urdf, source)
     model = _build_model(urdf, source)
@@ -195,23 +198,24 @@ def load_robot_from_urdf(
     mimics = _resolve_mimics(model, notes, names, source)
     warnings += _narrow_limits(model, mimics, source)
     passive = [n for n in model.names[1:] if n not in names and n not in mimics]
-    if not notes.loops and (several := [n for n in passive if model.joints[model.getJointId(n)].nv != 1]):
-        found = load_robot_from_urdf(
-            hold_joints(urdf, dict.fromkeys(several, 0.0), source),
-            source,
-            actuated=wanted,
-            tool=tool,
-            arguments=arguments,
-            sha256=sha256,
-            lock_springs=lock_springs,
-            packages=packages,
-        )
-        return replace(found, warnings=(*found.warnings, f"{source}: held still at zero: {', '.join(several)}"))
     if passive and not notes.loops:
         moved = "it" if len(passive) == 1 else "them"
-        warnings.append(
-            f"{source}: held still at zero, for neither a motor nor a loop moves {moved}: {', '.join(passive)}"
-        )
+        sentence = f"{source}: held still at zero, for neither a motor nor a loop moves {moved}: {', '.join(passive)}"
+        several = [n for n in passive if model.joints[model.getJointId(n)].nv != 1]
+        if held := passive if hold_passive else several:
+            found = load_robot_from_urdf(
+                hold_joints(urdf, dict.fromkeys(held, 0.0), source),
+                source,
+                actuated=names,
+                tool=tool,
+                arguments=arguments,
+                sha256=sha256,
+                lock_springs=lock_springs,
+                packages=packages,
+                hold_passive=hold_passive,
+            )
+            return replace(found, warnings=(*warnings, *(w for w in found.warnings if w not in warnings), sentence))
+        warnings.append(sentence)
     loops = tuple(_add_loop(model, k, ball, source) for k, ball in enumerate(notes.loops))
     links = _links(model, notes)
     if not any(model.inertias[link.joint_id].mass > 0 for link in links):
