@@ -102,3 +102,15 @@ def test_sound_forces_do_not_clip(rng) -> None:
     """The tops of waves hold three times as many samples as the band below them, not eight."""
     for _ in range(5):
         assert list_faulty(record(rng, *swing(rng))) == []
+
+
+def test_a_joint_with_a_force_in_few_samples_does_not_clip(rng) -> None:
+    """A stop pushes in a fifth of 720 samples of five joints: 110 functions of the motion say nothing about the others."""
+    for _ in range(4):
+        t = np.arange(0, 24, 1 / 30)
+        named = {f"q_{j}": sum(0.3 * np.sin(w * t + rng.uniform(0, 6)) for w in (0.6, 1.4, 2.3, 3.5)) for j in "abcde"}
+        a = np.gradient(np.gradient(named["q_a"], t), t)
+        pushed = 0.15 * np.maximum(a - np.quantile(a, 0.8), 0) + 0.01 * rng.standard_normal(t.size)
+        forces = {f"tau_{j}": pushed if j == "a" else rng.standard_normal(t.size) for j in "abcde"}
+        read = {name: q + 1e-6 * rng.standard_normal(t.size) for name, q in named.items()}
+        assert not any("clips" in w for w in list_faulty(Log(t, read | forces, "arm.csv")))

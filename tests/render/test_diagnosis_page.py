@@ -27,6 +27,7 @@ from tau_dyn.render.kinds.diagnosis_words import (
     describe_unexplained,
     format_value,
     list_untestable,
+    recommend_model,
 )
 from tau_dyn.render.kinds.waterfall import (
     build_output_series,
@@ -127,6 +128,23 @@ def test_a_cause_that_raises_the_error_is_said_to_leave_more():
     """A reduction of -10 % with the interval -27 to 6 % is 10 % more, -6 to 27 %."""
     gain = Gain(2.0, 2.2, -10.0, (-27.0, 6.0))
     assert describe_gain(gain).startswith("10 % more residual, 95 % interval [−6, 27] %")  # noqa: RUF001
+
+
+@pytest.mark.parametrize(("after", "said"), [(6.43, True), (4.0, False)])
+def test_a_small_fall_of_all_errors_names_the_output_that_gains(diagnosed, after, said):
+    """6.44 to 6.43 % over all joints says nothing; the joint whose error falls by 15 % is named. From 4 % on it is not needed."""
+    names = diagnosed.baseline.outputs
+    one, other = np.ones(len(names)), np.ones(len(names))
+    other[-1] = 0.85
+    case = replace(
+        diagnosed,
+        recommendation="extended",
+        baseline=replace(diagnosed.baseline, rms=one, relative_error_percent=6.44),
+        extended=replace(diagnosed.extended, rms=other, relative_error_percent=after),
+    )
+    text = recommend_model(case).sentence
+    unit = diagnosed.units[-1]
+    assert (f"most at {names[-1]}, 0.85 {unit} instead of 1 {unit}" in text) is said
 
 
 def test_cards_say_all_there_is_to_a_finding(page, diagnosed):

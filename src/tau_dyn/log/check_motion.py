@@ -167,9 +167,8 @@ def find_clipped_force(log: Log, joint: str) -> CodedWarning | None:
         beside = np.count_nonzero((below > BAND * noise) & (below <= 5 * BAND * noise)) / 4
         if len(runs) < MIN_EXCURSIONS or inside < MIN_CROWDING * max(beside, 1.0):
             continue
-        excess = side * (_predict_force(log, tau, below > BAND * noise) - tau)
-        beyond = float(np.mean([excess[r].mean() for r in runs]))
-        if beyond > MIN_EXCESS_RATIO * float(np.sqrt(np.mean(excess[below > BAND * noise] ** 2))):
+        beyond, stderr, residual = _measure_excess(log, side * tau, below > BAND * noise, runs)
+        if beyond > MIN_EXCESS_RATIO * max(stderr, residual):
             return _describe_clipped(log, joint, runs, beyond)
     return None
 
@@ -186,8 +185,14 @@ def _describe_clipped(log: Log, joint: str, runs: Sequence[slice], excess: float
     )
 
 
-def _predict_force(log: Log, tau: NDArray[np.float64], use: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return the force (N,) that the motion of all joints requires, by least squares over the samples to use (N,)."""
+def _measure_excess(
+    log: Log, tau: NDArray[np.float64], use: NDArray[np.bool_], runs: Sequence[slice]
+) -> tuple[float, float, float]:
+    """Return the mean force over runs that the motion requires beyond a measured one (N,), its standard error, and the residual.
+
+    The required force is fitted by least squares to the samples to use (N,). A motion that these do not show makes the standard
+    error large: residuals count as correlated over 0.1 s, and directions without data as unknown.
+    """
     columns, parts = [np.ones(log.n_samples)], []
     for joint in log.joints("q"):
         q, v = log.channels[f"q_{joint}"], compute_velocities(log, "q", joint)
@@ -195,8 +200,26 @@ def _predict_force(log: Log, tau: NDArray[np.float64], use: NDArray[np.bool_]) -
         columns += [differentiate(v, log.dt), v, np.sign(v)]
     columns += parts + [one * other for k, one in enumerate(parts) for other in parts[k + 1 :]]
     X = np.column_stack(columns)
-    return X @ np.linalg.lstsq(X[use], tau[use], rcond=None)[0]
+    X /= np.maximum(np.linalg.norm(X[use], axis=0), 1e-300)
+    U, values, Vt = np.linalg.svd(X[use], full_matrices=False)
+    known = values > _MIN_SHOWN_SHARE * values[0]
+    free = int(np.count_nonzero(use)) / max(1.0, FORCE_S * log.rate_hz) - np.count_nonzero(known)
+    at = np.mean([X[r].mean(axis=0) for r in runs], axis=0)
+    along = Vt @ at
+    unknown = np.linalg.norm(at - Vt[known].T @ along[known])
+    if free <= 0 or unknown > _MAX_UNKNOWN_SHARE * np.linalg.norm(at):
+        return 0.0, np.inf, np.inf
+    amplitude = (U[:, known].T @ tau[use]) / values[known]
+    residual = np.sqrt(np.sum((tau[use] - U[:, known] @ (values[known] * amplitude)) ** 2) / np.count_nonzero(use))
+    spread = residual * np.sqrt(FORCE_S * log.rate_hz) * np.linalg.norm(along[known] / values[known])
+    beyond = float(along[known] @ amplitude - np.mean([tau[r].mean() for r in runs]))
+    return beyond, float(spread), float(residual)
 
+
+_MIN_SHOWN_SHARE = 1e-6
+"""Least singular value of the samples without a limit, as a share of the largest, of a direction that they show."""
+_MAX_UNKNOWN_SHARE = 1e-2
+"""Largest share of the motion at a limit in directions that the other samples do not show."""
 
 MIN_SLIP_RATIO = 10.0
 """Size of a slip over the sixth largest departure of a step from the steps around it; an encoder slips a few times at most."""

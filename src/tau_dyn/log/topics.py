@@ -294,7 +294,10 @@ def build_message_table(
             recorders[message.topic].add(message.log, message.decode())
     topics = [topic for recorder in recorders.values() for topic in recorder.topics()]
     if not topics:
-        about = f"it has {format_names(sorted(others))}" if others else "it has no messages"
+        seen = others | {topic.lstrip("/") for topic in recorders}
+        named = {topic.lstrip("/"): f" ({kind})" for topic, kind in kinds.items()}
+        listed = format_names([f"{topic}{named.get(topic, '')}" for topic in sorted(seen)])
+        about = f"it has {listed}" if seen else "it has no messages"
         raise InputError(
             "file_format",
             f"{path.name} has no joint states, and no topic that a map names: {about}; name one in a column map.",

@@ -71,6 +71,7 @@ def recommend_model(diagnosis: Diagnosis) -> r.Verdict:
         if before == after:
             return r.Verdict(level, f"Use the extended model: {diagnosis.recommendation_why}.")
         text = f"Use the extended model: its error on held-out data is {after} of the {what} instead of {before}"
+        text += _describe_largest_fall(diagnosis)
         limit = "" if diagnosis.channel == "position" else f" No output loses more than {MAX_OUTPUT_LOSS_PERCENT:g} %."
         return r.Verdict(level, f"{text}; noise floor: {floor_}.{limit}")
     if diagnosis.verdict == "named" and has_extension(diagnosis):
@@ -90,6 +91,20 @@ def _print_fall(before: OutputErrors, after: OutputErrors) -> tuple[str, str]:
     """Return two relative errors with enough digits to show a gain."""
     one, other = (r.format_percent(e.relative_error_percent, PRINTED_DIGITS) for e in (before, after))
     return one, other
+
+
+_SMALL_FALL = 0.05
+"""Relative fall of the error of all outputs below which the output that gains most is named."""
+
+
+def _describe_largest_fall(diagnosis: Diagnosis) -> str:
+    """Return the output whose error falls most where that of all outputs hardly falls."""
+    before, after = diagnosis.baseline, diagnosis.extended
+    if after.relative_error_percent < (1 - _SMALL_FALL) * before.relative_error_percent:
+        return ""
+    k = int(np.argmin(after.rms / np.maximum(before.rms, 1e-300)))
+    one, other = (r.format_quantity(errors.rms[k], diagnosis.units[k]) for errors in (before, after))
+    return f", most at {before.outputs[k]}, {other} instead of {one}" if one != other else ""
 
 
 def has_extension(diagnosis: Diagnosis) -> bool:
