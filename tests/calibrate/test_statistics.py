@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
+from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).parent))
 from calibration_rigs import RodFamily, family_at, measured, rods_of
@@ -21,7 +22,7 @@ from tau_dyn.calibrate.addition_tests import _ProjectedResidual
 from tau_dyn.calibrate.crossvalidation import compare_paired, earns_parameters, split_folds
 from tau_dyn.calibrate.geometry_fit import GeometryFit
 from tau_dyn.calibrate.laws import RodLoads
-from tau_dyn.calibrate.measured import PoseErrors, estimate_measurement_noise
+from tau_dyn.calibrate.measured import PoseErrors, PoseSet, estimate_measurement_noise
 from tau_dyn.calibrate.model_selection import CandidateModel, Options, fit_and_cross_validate, fit_geometry
 from tau_dyn.calibrate.outliers import _fit_move, _leave_out_each, find_moved_frames, find_outliers
 from tau_dyn.mechanism import forward_kinematics
@@ -79,6 +80,31 @@ def test_repeats_tell_the_noise_without_their_means():
         noisy = replace(poses, position=poses.position + 1e-6 * np.random.default_rng(seed).standard_normal((120, 3)))
         found.append(cast(float, estimate_measurement_noise(noisy).position))
     assert_allclose(np.mean(np.square(found)), 1e-12, rtol=0.1)
+
+
+def see_targets(rng: np.random.Generator, sigma: float, n: int = 40) -> PoseSet:
+    """Return positions of three targets on a tool at `n` attitudes with noise [m]; one row is 5 mm off."""
+    places = np.array([[0.1, 0, 0], [0, 0.08, 0], [0, 0, 0.12]])
+    turn = Rotation.random(n, rng=rng).as_matrix()
+    x = rng.uniform(-0.5, 0.5, (n, 1, 3)) + np.einsum("nij,kj->nki", turn, places)
+    x = x.reshape(-1, 3) + sigma * rng.standard_normal((3 * n, 3))
+    x[7] += 0.005
+    q = np.repeat(rng.uniform(-1, 1, (n, 6)), 3, axis=0)
+    return PoseSet(q, x, target=np.tile(np.arange(3), n), targets=("a", "b", "c"))
+
+
+def test_distances_between_targets_tell_the_noise(rng):
+    """The tool is rigid: 40 x 3 distances scatter by the noise of two coordinates; one gross error is left out."""
+    found = [estimate_measurement_noise(see_targets(rng, 5e-5)) for _ in range(20)]
+    assert {one.source for one in found} == {"targets"}
+    assert_allclose(np.sqrt(np.mean([cast(float, one.position) ** 2 for one in found])), 5e-5, rtol=0.05)
+
+
+def test_targets_at_attitudes_of_their_own_tell_nothing(rng):
+    """Targets that were not measured at the same joints have no distances."""
+    poses = see_targets(rng, 5e-5)
+    apart = replace(poses, q=rng.uniform(-1, 1, poses.q.shape))
+    assert estimate_measurement_noise(apart).source == "unknown"
 
 
 def scattered(rng: np.random.Generator, size: float) -> PoseErrors:

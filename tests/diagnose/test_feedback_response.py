@@ -229,7 +229,7 @@ def test_what_draws_of_encoder_noise_make_of_a_column_is_their_mean_without_thei
 
 
 def test_a_line_whose_phase_decides_what_a_column_sees_scatters_from_draw_to_draw():
-    """A column sees 20 cos(phase) of a line: noncentralities of mean 200 and variance 400^2/8, while a fixed one has no scatter."""
+    """A column sees 20 cos(phase) of a line: a noncentrality of 200, variance 400^2 / 8; a fixed one has no scatter."""
     rng = np.random.default_rng(9)
     C = rng.standard_normal((50, 1))
     unit = C[:, 0] / np.linalg.norm(C)

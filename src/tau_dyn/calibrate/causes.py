@@ -179,6 +179,8 @@ def _describe(
     others = [GEOMETRY_SENTENCES[other] for other in alike if other != cause]
     named = [f"{text[0].lower()}{text[1:]}" for text in others] + ["the same elsewhere"] * (cause in alike)
     where += f", or {format_list(named)}" if named else ""
+    if not np.isfinite(gain.rms_before):
+        return f"{sentence}{where}: {format_quantity(gain.rms_after, 'm')} rms with it; without it the poses are out of reach."
     with_it, without = (format_quantity(x, "m") for x in (gain.rms_after, gain.rms_before))
     if gain.orientation_rms_after is not None and gain.orientation_rms_before is not None:
         with_it += f" and {format_quantity(gain.orientation_rms_after, 'rad')}"

@@ -84,7 +84,7 @@ def _add_ground(piece: PreparedSegment, force: np.ndarray) -> np.ndarray:
 _WIDEST_CUTOFF_SHARE = 0.45
 """Low-pass of a motion that fills the whole band, as a share of the rate."""
 _MIN_LEVEL_STEPS = 0.1
-"""Least noise before the rounding, in steps. Rounding hides smaller noise, and without any the steps' high harmonics are lines."""
+"""Least noise before the rounding, in steps: rounding hides smaller noise, and without any, high harmonics are lines too."""
 _STEADY_SHARE = 1 / 3
 """Low-pass of positions that hold no lines of rounding errors, as a share of the positions' own."""
 

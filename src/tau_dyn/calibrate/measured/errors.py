@@ -1,6 +1,7 @@
 """Errors between measured and predicted poses, and the measurement noise, known independently of the fit.
 
-The measurement noise is as stated, by columns of the file, or from repeated poses. The residuals of a fit do not measure it: a
+The measurement noise is as stated, by columns of the file, from repeated poses, or from the distances between several targets on
+the tool, which no pose changes. The residuals of a fit do not measure it: a
 model that lacks an effect has larger residuals, and would be judged by its own error.
 """
 
@@ -144,7 +145,7 @@ def _size(x: np.ndarray) -> ErrorSize:
 
 _MIN_REPEATS = 5  # measurements beyond the first at the same joints; the standard deviation is then known to a third
 
-NoiseSource = Literal["stated", "columns", "repeats", "unknown"]
+NoiseSource = Literal["stated", "columns", "repeats", "targets", "unknown"]
 
 
 @dataclass(frozen=True)
@@ -180,7 +181,8 @@ def estimate_measurement_noise(poses: PoseSet, accuracy: tuple[float, ...] = ())
     if poses.position_stderr is not None:
         turn = None if poses.rotation_stderr is None else _rms(poses.rotation_stderr)
         return MeasurementNoise("columns", _rms(poses.position_stderr), turn)
-    return _from_repeats(poses)
+    repeated = _from_repeats(poses)
+    return _from_targets(poses) if repeated.source == "unknown" else repeated
 
 
 def _from_repeats(poses: PoseSet) -> MeasurementNoise:
@@ -206,6 +208,39 @@ def _from_repeats(poses: PoseSet) -> MeasurementNoise:
     turn = compute_rotation_between(poses.rotation, poses.rotation[first[group]])
     middle = np.stack([np.bincount(group, x) / size for x in turn.T], axis=1)
     return MeasurementNoise("repeats", position, float(np.sqrt(np.sum((turn - middle[group]) ** 2) / (3 * more))))
+
+
+_GROSS = 5.0
+"""Robust standard deviations beyond which a distance between two targets is a mistake, not noise."""
+
+
+def _from_targets(poses: PoseSet) -> MeasurementNoise:
+    """Return the noise that the scatter of distances between targets shows at the same joints: twice the variance of a coordinate.
+
+    The tool is rigid: whatever the robot does, two targets on it keep their distance. Only targets of one campaign, measured in
+    three coordinates by one device, count.
+    """
+    alone = len(poses.devices) == 1 and not poses.touches.any() and not poses.of_encoders.any()
+    if not alone or not np.all(poses.numbers == 3) or len(poses.targets) < 2:
+        return MeasurementNoise("unknown")
+    at = {
+        (k, c, t): i for i, (k, c, t) in enumerate(zip(poses.configuration, poses.campaign, poses.target, strict=True))
+    }
+    sides: dict[tuple[int, int, int], list[float]] = {}
+    for (k, campaign, target), i in at.items():
+        for other in range(target + 1, len(poses.targets)):
+            if (j := at.get((k, campaign, other))) is not None:
+                distance = float(np.linalg.norm(poses.position[i] - poses.position[j]))
+                sides.setdefault((campaign, target, other), []).append(distance)
+    square, left = 0.0, 0
+    for lengths in sides.values():
+        off = np.abs(np.array(lengths) - np.median(lengths))
+        kept = np.array(lengths)[off <= _GROSS * 1.4826 * np.median(off)]
+        if len(kept) > 1:
+            square, left = square + float(np.sum((kept - kept.mean()) ** 2)), left + len(kept) - 1
+    if left < _MIN_REPEATS:
+        return MeasurementNoise("unknown")
+    return MeasurementNoise("targets", float(np.sqrt(square / (2 * left))))
 
 
 def _rms(x: np.ndarray) -> float:

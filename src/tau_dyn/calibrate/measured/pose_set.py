@@ -390,7 +390,7 @@ def _unknown(holdout: PoseSet, kind: str, name: str, known: Sequence[str]) -> In
     return InputError(
         "mismatch",
         f"{holdout.source}: {kind} {name} is not among the training poses' {kind}s ({', '.join(known)}), "
-        "so where it is is unknown",
+        "so its place is unknown; add some poses of it to the training poses, or calibrate with all poses and without --holdout",
     )
 
 

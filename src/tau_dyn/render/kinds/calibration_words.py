@@ -105,7 +105,8 @@ def describe_verdict(found: Calibration) -> Verdict:
         return _judge(
             "care",
             f"Held-out RMS error {format_length(reached)}. The measurement noise is not known, so neither is whether the model "
-            f"lacks an effect: give --accuracy, columns x_tool_stderr .., or measure some poses several times.",
+            f"lacks an effect: give --accuracy, columns x_tool_stderr .., or measure some poses several times, or several "
+            "targets at each.",
         )
     noise, angle = found.measured.orientation, found.errors(found.chosen).orientation_size
     if noise is not None and angle is not None and angle.rms > _EXPLAINED * np.sqrt(3) * noise:
