@@ -215,7 +215,7 @@ _GROSS = 5.0
 
 
 def _from_targets(poses: PoseSet) -> MeasurementNoise:
-    """Return the noise that the scatter of distances between targets shows at the same joints: twice the variance of a coordinate.
+    """Return the noise by distances between targets at the same joints, which scatter by twice the variance of a coordinate.
 
     The tool is rigid: whatever the robot does, two targets on it keep their distance. Only targets of one campaign, measured in
     three coordinates by one device, count.
