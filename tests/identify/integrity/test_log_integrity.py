@@ -13,9 +13,9 @@ from scipy.signal import lfilter
 from tau_dyn.identify import build_model, check_integrity, identify, is_diagnosis_invalid
 from tau_dyn.identify.integrity.force_timing import ForceDelay, _believed
 from tau_dyn.identify.integrity.reading_fit import count_independent
-from tau_dyn.log import Log, read_log
+from tau_dyn.log import Log, lowpass, read_log
 from tau_dyn.message_codes import get_code
-from tau_dyn.robot import load_robot
+from tau_dyn.robot import load_robot, load_robot_from_urdf
 from tau_dyn.simulate import build_named_motion
 
 HERE = Path(__file__).resolve().parents[3]
@@ -90,6 +90,23 @@ def test_a_robot_on_a_wall_or_a_slope_is_named_with_its_direction_of_gravity(two
     (warning,) = check_integrity(two_link, [log])
     shown = ", ".join(f"{x:.2g}" for x in down + 0.0)
     assert get_code(warning) == "gravity_direction" and f"gravity acts along ({shown})" in warning
+
+
+def test_a_joint_with_a_small_force_does_not_unmake_the_direction_of_gravity(make, write, rng) -> None:
+    """A wrist of 0.06 kg whose force is a third noise of its cable: the arm's other forces name the wall without a doubt."""
+    wrist = write.joint("wrist", "revolute", "lower_link", "hand_link", "0 1 0", "0.3 0 0") + write.drive("wrist")
+    text = write.two_link().replace("</robot>", f"{write.rod('hand_link', 0.06, 0.15)}{wrist}</robot>")
+    robot = load_robot_from_urdf(text, "arm")
+    turned = robot.model.copy()
+    turned.gravity.linear = np.array([9.81, 0.0, 0.0])
+    truth = build_model(replace(robot, model=turned), "symmetric")
+    log = make.recorded(truth, build_named_motion("fourier", truth, 20.0, 1), force_noise=0.002, encoder_noise=1e-6)
+    tau = log.channels["tau_wrist"]
+    cable = lowpass(rng.standard_normal(len(tau)), 0.5, log.rate_hz)
+    log = log.with_channels(tau_wrist=tau + 0.35 * np.std(tau) * cable / np.std(cable))
+    (warning,) = check_integrity(robot, [log])
+    assert get_code(warning) == "gravity_direction" and "gravity acts along (1, 0, 0)" in warning
+    assert "no reading of them agrees" not in warning and "Check units" not in warning
 
 
 def test_another_clock_makes_another_mass(axis, axis_log) -> None:

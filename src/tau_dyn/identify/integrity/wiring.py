@@ -203,7 +203,9 @@ class Search:
         fit = self.model.fit(final)
         joints = sorted({j for fault in faults for j in fault.reading.joints})
         objection = ""
-        if fit is None or not self.model.test.is_good(fit, joints, final.tau_from):
+        # a reading of the whole robot, such as another direction of gravity, is no column map that each joint has to confirm
+        is_good = self.model.test.is_good if list_map_lines(self.model.robot, final) else self.model.test.is_mended
+        if fit is None or not is_good(fit, joints, final.tau_from):
             objection = "the log read so does not fit the robot file well"
         elif max(errors.values(), default=0.0) > MAX_NUMBER_STDERR:
             objection = UNDETERMINED
@@ -431,6 +433,6 @@ def _describe_evidence(robot: Robot, fault: Fault) -> str:
     if ratio[k] ** 2 < MIN_POWER_DROP:
         return (
             f"so read, the model leaves {np.sqrt(after[k]):.3g} instead of {np.sqrt(before[k]):.3g} {robot.force_units[k]} of "
-            f"tau_{robot.actuated[k]}, {100 * (1 - ratio[k]):.2g} % less."
+            f"tau_{robot.actuated[k]}, {100 * (1 - ratio[k]):.3g} % less."
         )
     return "as logged, only bodies far from the robot file's explain the forces."
