@@ -234,6 +234,14 @@ def test_a_joint_held_turns_the_body_behind_it(tmp_path):
     assert_allclose(found, [*(R @ centre), *about[np.triu_indices(3)]], atol=1e-12)
 
 
+@pytest.mark.parametrize("gravity", ["0 0 -9.8", "0 0 -9.80665", "0 0 -9.832"])
+def test_gravity_of_a_place_on_earth_is_read(tmp_path, gravity):
+    """Files round gravity or give that of their place: 9.78 to 9.83 m/s^2 is read as 9.81."""
+    path = tmp_path / "robot.xml"
+    path.write_text(f'<mujoco><option gravity="{gravity}"/><worldbody>{CHAIN}</worldbody></mujoco>')
+    assert load_robot(path).model.gravity.linear[2] == -9.81
+
+
 @pytest.mark.parametrize(
     ("old", "new", "code", "words"),
     [

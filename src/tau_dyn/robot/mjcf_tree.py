@@ -18,6 +18,8 @@ from tau_dyn.robot.mjcf_file import STILL, Item, MjcfFile, Transform, turn_about
 from tau_dyn.robot.numbers import MAX_LINKS, compute_rpy
 
 _GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2] Pinocchio's
+_MAX_GRAVITY_DIFFERENCE = 0.03
+"""Difference of a file's gravity that counts as rounding or as its place on earth, where it is 9.78 to 9.83 [m/s^2]."""
 _SHOWN_GROUPS = 2  # up to which MuJoCo's viewer shows geoms; collision shapes are usually in group 3
 _ENDLESS = 1e12  # [m] limit of a slide without limits
 _NOT_READ = ("replicate", "composite", "flexcomp", "attach")
@@ -132,10 +134,11 @@ class MjcfTree:
         where, compiler = self.file.where, self.file.compiler
         for option in self.file.root.findall("option"):
             gravity = self.file.item(option).numbers("gravity", "0 0 -9.81", 3)
-            if not np.array_equal(gravity, _GRAVITY):
+            if np.linalg.norm(gravity - _GRAVITY) > _MAX_GRAVITY_DIFFERENCE:
                 raise InputError(
                     "unsupported",
-                    f"{where}: <option gravity='{option.get('gravity')}'>: robots are read with 0 0 -9.81",
+                    f"{where}: <option gravity='{option.get('gravity')}'>: robots are read with 0 0 -9.81; if the robot stands on "
+                    "a wall or a slope, turn its first body",
                 )
         for key, allowed in (("coordinate", "local"), ("settotalmass", "-1")):
             if compiler.get(key, allowed) != allowed:
