@@ -41,9 +41,10 @@ from tau_dyn.servo.data import BASELINE, LoopData, fit_coupled, fit_precisely, k
 from tau_dyn.servo.doubts import list_loop_warnings
 from tau_dyn.servo.fit import LoopFit
 from tau_dyn.servo.identification import fill_model
-from tau_dyn.servo.preparation import LoopOptions, prepare_loop, read_loop_logs
+from tau_dyn.servo.preparation import LoopOptions, read_loop_logs
 from tau_dyn.servo.records import LoopRecord
 from tau_dyn.servo.residual_structure import LoopResidual, compute_noise_floor, find_residual_structure
+from tau_dyn.servo.saturation import start_saturated
 from tau_dyn.servo.unknowns import HIGHEST, LIMITS, LOWEST, LoopUnknowns, get_unit
 from tau_dyn.simulate import SERVO_ENTRIES
 
@@ -93,9 +94,10 @@ def diagnose_loop(
         CannotAnswer: The logs hold no motion.
     """
     given = read_loop_logs(robot, logs, options)
-    law, progress, seed = given.law, given.progress, given.seed
+    progress, seed = given.progress, given.seed
     parts = _split(given.kept, given.others)
-    data = prepare_loop(given, parts.train)
+    given, data = start_saturated(given, parts.train)
+    law = given.law
     unknowns = keep_kinds(data, (*BASELINE, *law.estimated))
     data = replace(data, unknowns=unknowns, whole=True)
     progress("baseline")

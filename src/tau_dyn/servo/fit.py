@@ -266,6 +266,8 @@ def fit_loop(
         near = _linearise(problem, x, prior, None if k == 2 else worth)
         worth, weight, H, g = near.worth, near.weight, near.H, near.g
         loss = _sum_squares(near.residual[:, :, None], weight)[0] + prior.compute_cost(x)
+        if not (np.isfinite(loss) and np.isfinite(H).all()):  # the simulated loop diverges from these start values
+            return LoopFit(x, np.full(H.shape, np.nan), np.full(len(weight), np.inf), np.inf, k + 1, problem.waves.step)
         held = _find_held(u, x, g)
         if first is not None and float(g @ (_step(H, g, 0.0, held, prior, x) - x)) < CONVERGED * u.n:
             break

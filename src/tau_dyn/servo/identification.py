@@ -24,9 +24,10 @@ from tau_dyn.servo.data import LoopData, Mixing, fit_coupled
 from tau_dyn.servo.doubts import list_loop_warnings, list_unsettled
 from tau_dyn.servo.fit import LoopFit, fit_loop
 from tau_dyn.servo.prediction import SimulatedMotion, simulate_coupled
-from tau_dyn.servo.preparation import LoopOptions, prepare_loop, read_loop_logs
+from tau_dyn.servo.preparation import LoopOptions, read_loop_logs
 from tau_dyn.servo.records import LoopRecord, mask_unused
 from tau_dyn.servo.result import LoopIdentification, LoopParameter, build_position_errors
+from tau_dyn.servo.saturation import start_saturated
 from tau_dyn.servo.unknowns import JOINT_UNITS, get_unit
 from tau_dyn.simulate import SERVO_ENTRIES
 
@@ -52,8 +53,9 @@ def identify_loop(
         CannotAnswer: The logs hold no motion.
     """
     given = read_loop_logs(robot, logs, options)
-    progress, kept, others, law = given.progress, given.kept, given.others, given.law
-    data = start_springs(prepare_loop(given, kept), progress)
+    progress, kept, others = given.progress, given.kept, given.others
+    given, data = start_saturated(given, kept)
+    data, law = start_springs(data, progress), given.law
     if others:
         data, fit = fit_coupled(data, progress)
         progress("held-out errors")

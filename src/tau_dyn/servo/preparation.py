@@ -80,9 +80,22 @@ def delay_command(command: np.ndarray, dt: float, delay: float) -> np.ndarray:
 
 
 def screen_equation_error(
-    law: ServoLaw, space: InertialSpace, records: Sequence[LoopRecord], estimate_gain: bool
+    law: ServoLaw,
+    space: InertialSpace,
+    records: Sequence[LoopRecord],
+    estimate_gain: bool,
+    widest: np.ndarray | None = None,
 ) -> EquationError:
-    """Return the best delay, friction and drive inertia of each joint by the law's torque, with the bodies of the file."""
+    """Return the best delay, friction and drive inertia of each joint by the law's torque, with the bodies of the file.
+
+    Args:
+        law: The law.
+        space: Inertial numbers.
+        records: The records.
+        estimate_gain: Whether the position gain is unknown.
+        widest: Position errors up to which samples count (na,) [rad]; None for all samples.
+    """
+    most = np.full(len(law.joints), np.inf) if widest is None else widest
     na = len(law.joints)
     values = {key: np.array(law.values[key]) for key in ("position_gain", "command_delay")}
     values |= {key: np.zeros(na) for key in JOINT_UNITS}
@@ -93,7 +106,7 @@ def screen_equation_error(
         best = None
         for delay in [float(law.values["command_delay"][j])] if law.values["command_delay"][j] > 0 else DELAYS_S:
             rows = [
-                _build_rows(law, r, tau[:, j], j, float(delay), estimate_gain)
+                _build_rows(law, r, tau[:, j], j, float(delay), estimate_gain, float(most[j]))
                 for r, tau in zip(records, moved, strict=True)
             ]
             y, X = np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])
@@ -140,14 +153,14 @@ def _fill_gains(values: dict[str, np.ndarray], law: ServoLaw) -> dict[str, np.nd
 
 
 def _build_rows(
-    law: ServoLaw, r: LoopRecord, moved: np.ndarray, j: int, delay: float, estimate_gain: bool
+    law: ServoLaw, r: LoopRecord, moved: np.ndarray, j: int, delay: float, estimate_gain: bool, widest: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return torque, columns (sign, speed, one, acceleration) and mask of one joint where it moves and its motor is on."""
     rate, (q, v, a) = 1 / r.dt, r.motion
     goal = delay_command(r.command[:, j : j + 1], r.dt, delay)[:, 0]
     goal = lowpass(goal, MOTION_HZ, rate) if rate > 2.5 * MOTION_HZ else goal
     error = goal - q[:, j]
-    where = r.used & (np.abs(v[:, j]) > MOVING) & (r.enabled > 0)
+    where = r.used & (np.abs(v[:, j]) > MOVING) & (r.enabled > 0) & (np.abs(error) <= widest)
     edge = round(0.3 * rate)
     where[:edge], where[-edge:] = False, False
     columns = [np.sign(v[:, j]), v[:, j], np.ones(len(v)), a[:, j]]
@@ -296,12 +309,15 @@ def read_loop_logs(robot: Robot, logs: Log | Recording | Iterable[Log | Recordin
     )  # fmt: skip
 
 
-def prepare_loop(given: LoopLogs, records: Sequence[LoopRecord]) -> LoopData:
-    """Return the start of a fit of some records: the screen's values, and the inertial directions that they inform on."""
+def prepare_loop(given: LoopLogs, records: Sequence[LoopRecord], widest: np.ndarray | None = None) -> LoopData:
+    """Return the start of a fit of some records: the screen's values, and the inertial directions that they inform on.
+
+    The screen takes samples with position errors up to `widest` (na,) [rad], if given.
+    """
     model, law, space = given.model, given.law, InertialSpace.of(given.model)
     given.progress("equation error")
     estimate_gain = "position_gain" in law.estimated and not np.any(law.values["speed_gain"])
-    screen = screen_equation_error(law, space, records, estimate_gain)
+    screen = screen_equation_error(law, space, records, estimate_gain, widest)
     space = choose_directions(space, records, screen)
     loads = [compute_load_waves(space, *r.motion, r.dt) for r in records]
     unknowns = _build_unknowns(model, law, space, screen.values, given.own, given.friction)

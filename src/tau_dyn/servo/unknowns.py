@@ -21,6 +21,7 @@ LOWEST = {
     "position_gain": 1e-3,
     "speed_gain": 1e-4,
     "force_per_unit": 1e-4,
+    "limit": 1e-4,
     "stiction_speed": 1e-3,
     "armature": 1e-7,
     "command_delay": -0.02,

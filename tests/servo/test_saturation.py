@@ -1,0 +1,46 @@
+"""Servos that saturate, without a law: a largest torque is estimated where the logs show it."""
+
+import numpy as np
+import pytest
+
+from tau_dyn.servo import identify_loop, simulate_loop_log
+from tau_dyn.simulate import Trajectory
+
+from .arms import build_arm, build_law, build_truth
+
+
+def log_steps(robot, law, size: float, seed: int):
+    """Return a log of 30 s of steps up to a size [rad] at every joint, with the noise of a 12 bit encoder."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0, 30, 0.02)
+    q = np.repeat(rng.uniform(-size, size, (len(t) // 75, robot.na)), 75, axis=0)
+    command = Trajectory(robot.actuated, t, q, 0 * q, 0 * q)
+    return simulate_loop_log(
+        build_truth(robot), law, command, seed=seed, encoder_resolution=2 * np.pi / 4096, encoder_noise=3e-4
+    )
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_a_servo_that_saturates_is_followed_without_its_law(n: int) -> None:
+    """Steps of a radian at full output: the last joint's gain and limit are known up to one scale, and others keep none.
+
+    The first of two joints is linear. Without a limit held-out steps are 88 and 43 mrad off.
+    """
+    robot = build_arm(n)
+    limits = [*[1.0] * (n - 1), 0.12]
+    law = build_law(robot, gain=[*[1.2] * (n - 1), 6.0], limit=limits, back_emf=0.02, load_friction=0.0)
+    train, held = (log_steps(robot, law, 0.9 if n == 1 else 0.5, seed) for seed in (1, 2))
+    found = identify_loop(robot, [train], holdout=[held])
+    assert np.max(found.holdout.rms) < 0.02
+    values = {p.name: p.value for p in found.parameters}
+    last = robot.actuated[-1]
+    assert values[f"{last}.limit"] / values[f"{last}.position_gain"] == pytest.approx(0.02, rel=0.3)
+    assert sum(name.endswith(".limit") for name in values) == 1
+
+
+def test_a_servo_that_never_saturates_has_no_limit() -> None:
+    """A linear loop of one joint is followed by its gain alone."""
+    robot = build_arm(1)
+    log = log_steps(robot, build_law(robot, gain=1.2, back_emf=0.02, load_friction=0.0), 0.5, 3)
+    found = identify_loop(robot, [log])
+    assert not any(p.name.endswith(".limit") for p in found.parameters)
