@@ -1,5 +1,7 @@
 """Servos that saturate, without a law: a largest torque is estimated where the logs show it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -44,3 +46,13 @@ def test_a_servo_that_never_saturates_has_no_limit() -> None:
     log = log_steps(robot, build_law(robot, gain=1.2, back_emf=0.02, load_friction=0.0), 0.5, 3)
     found = identify_loop(robot, [log])
     assert not any(p.name.endswith(".limit") for p in found.parameters)
+
+
+def test_a_limit_that_is_never_reached_has_no_standard_error() -> None:
+    """Logs without information on a number do not give it an interval of no width."""
+    robot = build_arm(1)
+    law = build_law(robot, gain=1.2, back_emf=0.02, load_friction=0.0)
+    asked = replace(law.with_values(limit=np.array([50.0])), estimated=frozenset({"limit"}))
+    found = identify_loop(robot, [log_steps(robot, law, 0.5, 3)], law=asked)
+    (limit,) = (p for p in found.parameters if p.name.endswith(".limit"))
+    assert limit.value == 50.0 and limit.stderr is None

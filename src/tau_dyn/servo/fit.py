@@ -419,18 +419,22 @@ def _step(H: np.ndarray, g: np.ndarray, lam: float, held: np.ndarray, prior: Loo
     loose = ~held
     d = np.zeros(len(x))
     A = H[np.ix_(loose, loose)]
-    scale = np.sqrt(np.maximum(np.diag(A), 1e-12))
+    scale = np.sqrt(np.maximum(np.diag(A), _NO_INFORMATION))
     A = A / scale[:, None] / scale[None, :] + lam * np.eye(len(scale))
     d[loose] = np.linalg.lstsq(A, g[loose] / scale, rcond=1e-12)[0] / scale
     return prior.unknowns.clip(x + prior.limit(x, d) * d)
 
 
+_NO_INFORMATION = 1e-12
+"""Inverse variance of an unknown below which the logs do not show it at all."""
+
+
 def _compute_covariance(H: np.ndarray, scatter: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """Return the sandwich covariance (n, n), without the unknowns at bounds."""
-    loose = np.flatnonzero(~held)
+    """Return the sandwich covariance (n, n), without the unknowns at bounds and those on which the logs have no information."""
+    loose = np.flatnonzero(~held & (np.diag(H) > _NO_INFORMATION))
     out = np.zeros_like(H)
     A = H[np.ix_(loose, loose)]
-    scale = np.sqrt(np.maximum(np.diag(A), 1e-12))
+    scale = np.sqrt(np.diag(A))
     inverse = np.linalg.pinv(A / scale[:, None] / scale[None, :], rcond=1e-10) / scale[:, None] / scale[None, :]
     out[np.ix_(loose, loose)] = inverse @ scatter[np.ix_(loose, loose)] @ inverse
     return out
