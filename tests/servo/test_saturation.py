@@ -55,4 +55,4 @@ def test_a_limit_that_is_never_reached_has_no_standard_error() -> None:
     asked = replace(law.with_values(limit=np.array([50.0])), estimated=frozenset({"limit"}))
     found = identify_loop(robot, [log_steps(robot, law, 0.5, 3)], law=asked)
     (limit,) = (p for p in found.parameters if p.name.endswith(".limit"))
-    assert limit.value == 50.0 and limit.stderr is None
+    assert limit.value == pytest.approx(50.0) and limit.stderr is None
