@@ -27,6 +27,7 @@ N_BOOTSTRAP_DRAWS = 4
 """Draws of encoder noise; the statistic of a cause on one of them may be near zero, or four times the mean."""
 NONCENTRALITY_SAFETY_FACTOR = 2.0  # factor for an estimate from few draws, which is wrong by up to a factor of two
 _N_GAMMA_NODES = 24
+"""Nodes of the expectation over a gamma distribution, exact for polynomials of degree 47."""
 _MAX_GAMMA_SHAPE = 100.0
 """Shape of a gamma distribution above which it scatters by less than a tenth of its mean, which is taken for it."""
 

@@ -137,8 +137,8 @@ class MjcfTree:
             if np.linalg.norm(gravity - _GRAVITY) > _MAX_GRAVITY_DIFFERENCE:
                 raise InputError(
                     "unsupported",
-                    f"{where}: <option gravity='{option.get('gravity')}'>: robots are read with 0 0 -9.81; if the robot "
-                    "stands on a wall or a slope, turn its first body",
+                    f"{where}: <option gravity='{option.get('gravity')}'>: robots are read with 0 0 -9.81; for a robot "
+                    "on a wall or a slope, turn its first body",
                 )
         for key, allowed in (("coordinate", "local"), ("settotalmass", "-1")):
             if compiler.get(key, allowed) != allowed:

@@ -22,6 +22,7 @@ from tau_dyn.simulate import COMMANDS
 _SHARES = (0.5, 0.3, 0.2, 0.1, 0.05)
 """Position errors up to which a joint may be linear, as shares of its largest ones."""
 _ITERATIONS = 12
+"""Steps of the search that are compared: residuals with and without a limit differ by factors then."""
 _MAX_LEFT = 0.7
 """Largest residual with a limit, as a share of that without, of a joint that saturates."""
 
