@@ -127,7 +127,7 @@ def test_a_step_of_two_alike_is_not_guessed(diagnosed):
 def test_a_cause_that_raises_the_error_is_said_to_leave_more():
     """A reduction of -10 % with the interval -27 to 6 % is 10 % more, -6 to 27 %."""
     gain = Gain(2.0, 2.2, -10.0, (-27.0, 6.0))
-    assert describe_gain(gain).startswith("10 % more residual, 95 % interval [−6, 27] %")  # noqa: RUF001
+    assert describe_gain(gain).startswith("10 % more residual, 95 % interval [\u22126, 27] %")
 
 
 @pytest.mark.parametrize(("after", "said"), [(6.43, True), (4.0, False)])

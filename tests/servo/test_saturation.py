@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tau_dyn.exceptions import InputError
+from tau_dyn.log import Log
 from tau_dyn.servo import identify_loop, simulate_loop_log
 from tau_dyn.simulate import Trajectory
 
@@ -56,3 +58,23 @@ def test_a_limit_that_is_never_reached_has_no_standard_error() -> None:
     found = identify_loop(robot, [log_steps(robot, law, 0.5, 3)], law=asked)
     (limit,) = (p for p in found.parameters if p.name.endswith(".limit"))
     assert limit.value == pytest.approx(50.0) and limit.stderr is None
+
+
+def test_logs_of_one_step_each_are_used() -> None:
+    """Eight answers of 1 s to a command that holds from the first sample on: all 400 samples count, and the gain is known."""
+    robot = build_arm(1)
+    law = build_law(robot, gain=1.2, back_emf=0.02, load_friction=0.0)
+    t = np.arange(0, 1, 0.02)
+    logs = []
+    for k, size in enumerate((-0.6, -0.4, -0.2, -0.1, 0.1, 0.2, 0.4, 0.6)):
+        whole = np.where(np.arange(0, 3, 0.02) < 2, 0.0, size)[:, None]
+        motion = Trajectory(robot.actuated, np.arange(len(whole)) * 0.02, whole, 0 * whole, 0 * whole)
+        log = simulate_loop_log(build_truth(robot), law, motion, seed=k, encoder_noise=3e-4)
+        step = {name: x[-len(t) :] for name, x in log.channels.items()}
+        logs.append(Log(t, step, f"step{k}.csv"))
+    found = identify_loop(robot, logs, holdout=[log_steps(robot, law, 0.5, 9)])
+    assert found.n_samples == 8 * len(t)
+    assert np.max(found.holdout.rms) < 0.02
+    away = logs[0].with_channels(q_j1=2 * logs[0].channels["q_j1"][0] - logs[0].channels["q_j1"])
+    with pytest.raises(InputError, match="the commands never change"):
+        identify_loop(robot, [*logs[1:], away])

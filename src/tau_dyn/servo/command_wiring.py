@@ -19,6 +19,10 @@ MIN_MOTION = 0.05
 """Range of a joint [rad or m] from which it counts as moving; a loaded servo creeps by less."""
 
 
+_ARRIVED = 0.5
+"""Distance from a command that never changes at the end of a log, over that at its start, below which the joint obeys it."""
+
+
 def refuse_odd_commands(records: Sequence[LoopRecord], joints: Sequence[str]) -> None:
     """Reject commands of position or speed that no servo with these positions can have followed.
 
@@ -33,8 +37,11 @@ def refuse_odd_commands(records: Sequence[LoopRecord], joints: Sequence[str]) ->
             continue
         command, followed = record.command[on], followed[on]
         moves = np.ptp(record.q[on], axis=0)
-        if not np.ptp(command, axis=0).any() and moves.max() > MIN_MOTION:
-            j = int(np.argmax(moves))
+        away = np.abs(followed - command)
+        arrives = away[-1] < _ARRIVED * away[0]  # a log of one step holds one command from its first sample on
+        odd = np.where(arrives, 0.0, moves)
+        if not np.ptp(command, axis=0).any() and odd.max() > MIN_MOTION:
+            j = int(np.argmax(odd))
             raise InputError(
                 "poor_excitation",
                 f"{record.name}: the commands never change, while q_{joints[j]} moves by {moves[j]:.3g}; log the commands that "

@@ -208,6 +208,8 @@ def choose_directions(space: InertialSpace, records: Sequence[LoopRecord], scree
 
 ALWAYS = ("armature", "command_delay")
 """Entries estimated for every joint in addition to friction, unless the law or `--fix` gives them."""
+MIN_LOG_S = 0.5
+"""Shortest log without gaps [s]: a step and its answer."""
 MIN_SECONDS = 5.0
 """Shortest data for the identification of a loop [s]: some ten time constants of a servo."""
 
@@ -422,8 +424,13 @@ def _guess_law(robot: Robot) -> ServoLaw:
 
 
 def _split(log: Log) -> list[Log]:
-    """Return a log's parts between gaps that outlast the start of a simulation, their stamps even where these are rounded."""
-    return [mend_rounded_stamps(piece) for piece in split_at_gaps(log) if piece.duration > 2 * WARM_UP_S]
+    """Return a log's parts between gaps, their stamps even where these are rounded.
+
+    A part behind a gap begins in an unknown state and has to outlast the start of a simulation; a whole log may be one step.
+    """
+    parts = split_at_gaps(log)
+    shortest = MIN_LOG_S if len(parts) == 1 else 2 * WARM_UP_S
+    return [mend_rounded_stamps(part) for part in parts if part.duration > shortest]
 
 
 def _refuse_pieces(logs: Sequence[Log], pieces: Sequence[Log]) -> None:
