@@ -20,7 +20,7 @@ MIN_MOTION = 0.05
 
 
 _ARRIVED = 0.5
-"""Distance from a command that never changes at the end of a log, over that at its start, below which the joint obeys it."""
+"""Distance from a command that never changes in the second half of a log, over that at its start, below which the joint obeys."""
 
 
 def refuse_odd_commands(records: Sequence[LoopRecord], joints: Sequence[str]) -> None:
@@ -38,7 +38,9 @@ def refuse_odd_commands(records: Sequence[LoopRecord], joints: Sequence[str]) ->
         command, followed = record.command[on], followed[on]
         moves = np.ptp(record.q[on], axis=0)
         away = np.abs(followed - command)
-        arrives = away[-1] < _ARRIVED * away[0]  # a log of one step holds one command from its first sample on
+        arrives = (
+            away[len(away) // 2 :].max(axis=0) < _ARRIVED * away[0]
+        )  # a log of one step holds one command throughout
         odd = np.where(arrives, 0.0, moves)
         if not np.ptp(command, axis=0).any() and odd.max() > MIN_MOTION:
             j = int(np.argmax(odd))
