@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -75,13 +75,17 @@ def read_inertial(item: Item) -> BodyMass:
     return BodyMass(mass, pose.origin, pose.rotation @ inertia @ pose.rotation.T)
 
 
-def sum_shapes(shapes: Iterable[Geom], groups: tuple[float, float], where: str) -> BodyMass:
+Measure = Callable[[str], "tuple[float, np.ndarray, np.ndarray] | None"]
+"""Returns a mesh's volume [m^3], centre (3,) [m] and inertia (3, 3) about it at unit density [m^5]; None without an answer."""
+
+
+def sum_shapes(shapes: Iterable[Geom], groups: tuple[float, float], where: str, measure: Measure) -> BodyMass:
     """Return the inertia of a body's shapes whose group is in a range.
 
     Raises:
-        InputError: A mesh has mass, which only the mesh file could determine.
+        InputError: A shape with mass, or a mesh file, cannot be measured.
     """
-    parts = [part for shape in shapes if (part := _weigh(shape, groups, where)) is not None]
+    parts = [part for shape in shapes if (part := _weigh(shape, groups, where, measure)) is not None]
     mass = sum(part.mass for part in parts)
     if not mass:
         return BodyMass(0.0, np.zeros(3), np.zeros((3, 3)))
@@ -100,14 +104,27 @@ def bound_mass(body: BodyMass, least_mass: float, least_inertia: float, balance:
     return BodyMass(max(body.mass, least_mass), body.centre, axes @ np.diag(moments) @ axes.T)
 
 
-def _weigh(shape: Geom, groups: tuple[float, float], where: str) -> BodyMass | None:
+def _weigh(shape: Geom, groups: tuple[float, float], where: str, measure: Measure) -> BodyMass | None:
     item = shape.item
     given = item.number("mass", 0.0) if "mass" in item.values else None
     density = item.number("density", _DENSITY)
     massless = given == 0.0 if given is not None else density == 0.0
     if massless or shape.kind in _FLAT or not groups[0] <= item.number("group", 0.0) <= groups[1]:
         return None
-    if shape.kind not in _SIZES or item.get("shellinertia", "false") == "true":
+    solid = item.get("shellinertia", "false") != "true"
+    if (
+        shape.kind == "mesh"
+        and item.get("type") == "mesh"
+        and solid
+        and (found := measure(item.get("mesh"))) is not None
+    ):
+        volume, centre, inertia = found
+        mass = density * volume if given is None else given
+        if mass < _NO_MASS or not volume > 0:
+            return None
+        turn = shape.pose.rotation
+        return BodyMass(mass, shape.pose.place(centre), turn @ (mass / volume * inertia) @ turn.T)
+    if shape.kind not in _SIZES or not solid:
         what = f"mesh '{item.get('mesh')}'" if shape.kind == "mesh" else f"a geom of type {shape.kind} or a shell"
         raise InputError("unsupported", f"{where} takes its inertia from {what}; give it an <inertial>")
     volume, unit = _measure(shape.kind, shape.size)

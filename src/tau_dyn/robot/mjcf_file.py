@@ -17,6 +17,7 @@ from defusedxml.ElementTree import fromstring
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import read_bytes
+from tau_dyn.robot.mesh_inertia import FORMS
 from tau_dyn.robot.numbers import MAX_LEVELS, MAX_NUMBER, build_rotation, parse_numbers
 
 _MAX_BYTES = 32 * 2**20  # largest size of an included file, as of any robot file
@@ -46,10 +47,11 @@ class Transform(NamedTuple):
 
 
 class MeshAsset(NamedTuple):
-    """A mesh's path from the file's folder, and its scale (3,)."""
+    """A mesh's path from the file's folder, its scale (3,), and the way in which its volume is summed."""
 
     path: str
     scale: np.ndarray
+    inertia: str
 
 
 STILL = Transform(np.eye(3), np.zeros(3))
@@ -142,6 +144,7 @@ class MjcfFile:
 
     Attributes:
         where: The file's name in messages.
+        folder: Its folder.
         root: Its `<mujoco>` element, with included files inserted.
         compiler: Settings of all `<compiler>` elements, the last of each name.
         defaults: Attributes by class and element.
@@ -154,7 +157,7 @@ class MjcfFile:
         Raises:
             InputError: An included file does not exist, is included twice, or is not XML without entities.
         """
-        self.where, self.root = str(path), _parse(text, str(path))
+        self.where, self.folder, self.root = str(path), path.parent, _parse(text, str(path))
         _include(self.root, path, self.where)
         self.compiler: dict[str, str] = {}
         self.defaults: dict[str, dict[str, dict[str, str]]] = {_MAIN: {}}
@@ -181,7 +184,8 @@ class MjcfFile:
         stripped = self.compiler.get("strippath", "false") == "true"
         folder = self.compiler.get("meshdir") or self.compiler.get("assetdir", "")
         where = PurePosixPath(folder) / (path.name if stripped else path)
-        return item.get("name") or path.stem, MeshAsset(str(where), item.numbers("scale", "1 1 1", 3))
+        scale, form = item.numbers("scale", "1 1 1", 3), item.get("inertia", FORMS[0])
+        return item.get("name") or path.stem, MeshAsset(str(where), scale, form)
 
     def item(self, element: Element, child_class: str = "") -> Item:
         """Return an element with the defaults of its class, or otherwise of the class that its body gives its children."""

@@ -13,6 +13,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from tau_dyn.exceptions import InputError
+from tau_dyn.robot.mesh_inertia import FORMS, measure_mesh, read_triangles
 from tau_dyn.robot.mjcf_bodies import BodyMass, Geom, bound_mass, read_inertial, read_shape, sum_shapes
 from tau_dyn.robot.mjcf_file import STILL, Item, MjcfFile, Transform, turn_about
 from tau_dyn.robot.numbers import MAX_LINKS, compute_rpy
@@ -265,6 +266,14 @@ class MjcfTree:
         if any(item.numbers("stiffness", "0")):
             self.left_out.setdefault("springs of joints", []).append(name)
 
+    def _measure_mesh(self, name: str) -> tuple[float, np.ndarray, np.ndarray] | None:
+        """Return volume, centre and inertia of a mesh at unit density; None if the file's way of summing it is another."""
+        mesh = self.file.meshes.get(name)
+        if mesh is None or mesh.inertia not in FORMS:
+            return None
+        triangles = read_triangles(self.file.folder / mesh.path) * mesh.scale
+        return measure_mesh(triangles if np.prod(mesh.scale) > 0 else triangles[:, ::-1], mesh.inertia)
+
     def _add_mass(
         self, item: Item, parts: list[tuple[Element, Transform, str]], place: Place, moving: bool, *, free: bool
     ) -> None:
@@ -281,7 +290,7 @@ class MjcfTree:
         elif mode != "false" and moving:
             settings = Item("compiler", compiler, f"{self.file.where}: <compiler>", compiler)
             low, high = settings.numbers("inertiagrouprange", "0 5", 2)
-            body = sum_shapes(shapes, (low, high), where)
+            body = sum_shapes(shapes, (low, high), where, self._measure_mesh)
         if moving:
             settings = Item("compiler", compiler, f"{self.file.where}: <compiler>", compiler)
             least = settings.number("boundmass", 0.0), settings.number("boundinertia", 0.0)
