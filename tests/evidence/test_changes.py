@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 
 from tau_dyn.estimate import Preparation, Regression, RegressionRun
 from tau_dyn.evidence import describe_changes, find_changes, list_changes
+from tau_dyn.evidence.change_points.log_data import Hypothesis, LogData
+from tau_dyn.evidence.change_points.step import Step
 from tau_dyn.message_codes import format_warnings, get_code
 from tau_dyn.parameters import Parameter, Parameters
 
@@ -199,3 +202,16 @@ def test_a_step_in_exact_forces_has_a_time():
     exact = replace(clean, runs=(replace(run, y=run.W @ TRUE, y_all=run.W @ TRUE),))
     for change in find_changes(add_force(exact, np.where(is_late(clean) & [False, True], 500.0, 0.0))):
         assert change.time_s == pytest.approx(LATE_S, abs=1.0)
+
+
+def test_a_sign_that_makes_the_joints_own_fit_worse_is_no_change(monkeypatch):
+    """Joints share bodies: another sign of one joint may help those of a poor model, but not its own force."""
+    changes = importlib.import_module("tau_dyn.evidence.changes")
+    clean = make_regression(4)
+    turned = add_force(clean, np.where(is_late(clean) & [False, True], -2 * clean.runs[0].y, 0.0))
+    step = Step(LATE_S, 0.1, -1.0, np.zeros(0), 1e-12, np.inf, 0, 20)
+    monkeypatch.setattr(changes, "fit_step", lambda data, hypothesis, time_s: step)
+    flipped = Hypothesis("sign", 1, ())
+    for regression, is_change in ((clean, False), (turned, True)):
+        found, _ = changes._test(LogData(regression), flipped, LATE_S, 10)
+        assert (found is not None) is is_change

@@ -210,6 +210,11 @@ def _test(data: LogData, hypothesis: Hypothesis, time_s: float, n_hypotheses: in
     if step.over_drift < MIN_2LOGL_DIFFERENCE:
         return None, data.drift(hypothesis, step.drift)
     taken = data.take(hypothesis, step.time_s, step.factor).leave_out(step.time_s)
+    if not hypothesis.columns and _measure_own_misfit(taken, hypothesis) > _measure_own_misfit(data, hypothesis):
+        return (
+            None,
+            data,
+        )  # the joints share bodies: those of a poor model fit others better by another sign of this one
     size, before, after, unit = _measure(taken, hypothesis, step)
     if size < 1:  # in the model, so that no other kind is named in its place
         return None, taken
@@ -280,14 +285,26 @@ def _add_step(data: LogData, hypothesis: Hypothesis, step: Step, output: int) ->
     return np.concatenate(made)
 
 
-def _estimate_friction(data: LogData, output: int) -> tuple[np.ndarray, float]:
-    """Return a joint's friction at its usable samples (n,) and its mean Coulomb friction, by a fit of its force alone."""
-    joint, rows, y = data.regression.outputs[output], [], []
+def _measure_own_misfit(data: LogData, hypothesis: Hypothesis) -> float:
+    """Return the residual of a fit of the joint's force alone, over that force without its mean."""
+    W, y, theta = _fit_alone(data, hypothesis.output)
+    return float(np.std(y - W @ theta)) / max(float(np.std(y)), 1e-300)
+
+
+def _fit_alone(data: LogData, output: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return columns (n, p), force (n,) and parameters (p,) of a joint at its usable samples, fitted to its force alone."""
+    rows, y = [], []
     for columns, run in zip(data.columns, data.runs, strict=True):
         rows.append(columns[run.usable[:, output], output])
         y.append(run.y[run.usable[:, output], output])
-    W, names = np.concatenate(rows), data.regression.parameters.names
-    theta = solve_scaled(W, np.concatenate(y), 1e-7)
+    W, force = np.concatenate(rows), np.concatenate(y)
+    return W, force, solve_scaled(W, force, 1e-7)
+
+
+def _estimate_friction(data: LogData, output: int) -> tuple[np.ndarray, float]:
+    """Return a joint's friction at its usable samples (n,) and its mean Coulomb friction, by a fit of its force alone."""
+    joint, names = data.regression.outputs[output], data.regression.parameters.names
+    W, _, theta = _fit_alone(data, output)
     coulomb, viscous = (
         [k for k, name in enumerate(names) if name.startswith(f"{joint}.{law}")] for law in ("coulomb", "viscous")
     )
