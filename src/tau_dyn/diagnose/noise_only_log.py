@@ -137,9 +137,8 @@ class NoiseOnlyLog:
         smooth_hz = min(smooth_hz, cutoff)
         smooth = lowpass(measured, smooth_hz, log.rate_hz)
         step = estimate_quantisation_step(measured)
-        level = np.sqrt(
-            np.maximum(estimate_encoder_noise(measured) ** 2 - step**2 / 12, (_MIN_LEVEL_STEPS * step) ** 2)
-        )
+        least = (_MIN_LEVEL_STEPS * step) ** 2
+        level = np.sqrt(np.maximum(estimate_encoder_noise(measured) ** 2 - step**2 / 12, least))
         taps = estimate_feedback_taps(log, joints, smooth_hz)
         read = replace(log, channels={f"q_{joint}": smooth[:, k] for k, joint in enumerate(joints)})
         return cls(piece.log, joints, q, force, read, step, level, smooth_hz, taps, cutoff)
