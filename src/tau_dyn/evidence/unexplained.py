@@ -169,10 +169,11 @@ class NoiseConsistency:
 
     Attributes:
         output: The output.
-        p_value: Probability of both statistics under noise: the larger p-value of training and held-out data, over all outputs.
+        p_value: Probability of both statistics under noise: the largest p-value of training and held-out data, by the noise model
+            and by the scatter of blocks, over all outputs.
         share: Part of the residual's variance that the smooth functions explain: of the held-out data if both sets are
             inconsistent, else of the set with the smaller p-value.
-        p_single: The smaller of both p-values, over all outputs and both sets.
+        p_single: The smaller of both p-values by the noise model, over all outputs and both sets.
     """
 
     output: str
@@ -205,7 +206,7 @@ def assess_noise_consistency(
     outputs = null_models[0].measurements.outputs
     for k, output in enumerate(outputs):
         tests = [_test(null_model, k, effects, noise) for null_model in null_models]
-        both, single = max(p for p, _ in tests), min(tests)
+        both, single = max(max(p) for p, _ in tests), min((p[0], share) for p, share in tests)
         p_value = min(1.0, len(outputs) * both)
         share = tests[1][1] if p_value < CONSISTENCY_LEVEL else single[1]
         found.append(NoiseConsistency(output, p_value, share, min(1.0, len(tests) * len(outputs) * single[0])))
@@ -214,12 +215,16 @@ def assess_noise_consistency(
 
 def _test(
     null_model: WhiteResidual, output: int, effects: Sequence[Effect], noise: NoiseOnlyBootstrap | None
-) -> tuple[float, float]:
-    """Return the p-value of the smooth functions of one output's variables, and their share of its residual's variance."""
+) -> tuple[tuple[float, float], float]:
+    """Return p-values of the smooth functions of one output's variables, and their share of its residual's variance.
+
+    The first p-value is by the noise model. The second one, by the scatter of blocks, cannot be very small for few of them; a
+    data set alone is judged by the first, at a level that leaves room for errors of the model.
+    """
     rows = np.flatnonzero(null_model.whiten.index == output)
     power = float(null_model.e[rows] @ null_model.e[rows])
     if not power > 0:
-        return 1.0, 0.0
+        return (1.0, 1.0), 0.0
     C = null_model.whiten_columns(_build_columns(null_model.measurements, output))
     free = np.zeros(C.shape[1], bool)
     statistic, s, G = compute_score_test(null_model, C, free, MIN_LEFT_SHARE)
@@ -227,11 +232,11 @@ def _test(
     share = min(1.0, statistic / power)
     by_blocks = compute_robust_chance(null_model, C, MIN_LEFT_SHARE)
     if noise is None:
-        return max(by_blocks, float(stats.chi2.sf(statistic, len(free)))), share
+        return (float(stats.chi2.sf(statistic, len(free))), by_blocks), share
     made = [_build_columns(clean, output) for clean in noise.channels]
     noise_only_models = noise.fit_null_models(null_model, effects)
     by_noise = compute_artefact_chance(statistic, noise_only_models, null_model, made, free, MIN_LEFT_SHARE)
-    return max(by_blocks, by_noise), share
+    return (by_noise, by_blocks), share
 
 
 def _build_columns(measurements: Measurements, output: int) -> list[np.ndarray]:
