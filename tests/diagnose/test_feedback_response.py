@@ -253,6 +253,14 @@ def test_a_line_whose_phase_decides_what_a_column_sees_scatters_from_draw_to_dra
     assert seen(np.full(2000, 20.0))[1] < 300
 
 
+@pytest.mark.parametrize(("mean", "variance"), [(1e-9, 1e3), (1e-2, 1e3), (50.0, 0.0), (50.0, 2.0), (50.0, 2500.0)])
+def test_the_nodes_of_a_noncentrality_are_numbers_with_its_mean(mean: float, variance: float):
+    """From a distribution that is nearly all at zero to one without scatter, nodes are finite and their mean is the mean."""
+    nodes, weights = importlib.import_module("tau_dyn.evidence.noise_only_bootstrap")._list_gamma_nodes(mean, variance)
+    assert np.isfinite(nodes).all() and weights.sum() == pytest.approx(1)
+    assert weights @ nodes == pytest.approx(mean, rel=1e-6)
+
+
 @pytest.mark.parametrize("phase", [0.0, 0.5, 1.0])
 def test_four_draws_of_a_line_do_not_make_another_phase_of_it_significant(phase: float):
     """The p-value of a line of amplitude 20 at any phase is above 1 % for nine of ten sets of four draws of it."""

@@ -210,11 +210,9 @@ def _test(data: LogData, hypothesis: Hypothesis, time_s: float, n_hypotheses: in
     if step.over_drift < MIN_2LOGL_DIFFERENCE:
         return None, data.drift(hypothesis, step.drift)
     taken = data.take(hypothesis, step.time_s, step.factor).leave_out(step.time_s)
+    # joints share bodies: those of a poor model may fit other joints better by another sign of this one
     if not hypothesis.columns and _measure_own_misfit(taken, hypothesis) > _measure_own_misfit(data, hypothesis):
-        return (
-            None,
-            data,
-        )  # the joints share bodies: those of a poor model fit others better by another sign of this one
+        return None, data
     size, before, after, unit = _measure(taken, hypothesis, step)
     if size < 1:  # in the model, so that no other kind is named in its place
         return None, taken

@@ -28,6 +28,8 @@ N_BOOTSTRAP_DRAWS = 4
 NONCENTRALITY_SAFETY_FACTOR = 2.0  # factor for an estimate from few draws, which is wrong by up to a factor of two
 _N_GAMMA_NODES = 24
 """Nodes of the expectation over a gamma distribution, exact for polynomials of degree 47."""
+_MIN_GAMMA_SHAPE = 1e-6
+"""Smallest shape: nearly all of the distribution is at zero, and the nodes of smaller shapes are no numbers."""
 _MAX_GAMMA_SHAPE = 100.0
 """Shape of a gamma distribution above which it scatters by less than a tenth of its mean, which is taken for it."""
 
@@ -103,6 +105,7 @@ def _list_gamma_nodes(mean: float, variance: float) -> tuple[np.ndarray, np.ndar
     shape = mean**2 / variance if variance > 0 else np.inf
     if shape > _MAX_GAMMA_SHAPE:
         return np.array([mean]), np.ones(1)
+    shape = max(shape, _MIN_GAMMA_SHAPE)
     nodes, weights = special.roots_genlaguerre(_N_GAMMA_NODES, shape - 1)
     return nodes * mean / shape, weights / np.sum(weights)
 

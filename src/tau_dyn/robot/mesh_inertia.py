@@ -62,7 +62,7 @@ def read_triangles(path: Path) -> np.ndarray:
     try:
         data = read_bytes(path, _MAX_BYTES)
     except OSError as error:
-        said = f"{path}: {error.strerror or error}; a body without <inertial> has its mass from this mesh"
+        said = f"{path}: {error.strerror or error}; a body without <inertial> takes its mass from this mesh"
         raise InputError("cannot_read", said) from None
     try:
         triangles = _read_obj(data) if path.suffix.lower() == ".obj" else _read_stl(data)

@@ -38,9 +38,8 @@ def refuse_odd_commands(records: Sequence[LoopRecord], joints: Sequence[str]) ->
         command, followed = record.command[on], followed[on]
         moves = np.ptp(record.q[on], axis=0)
         away = np.abs(followed - command)
-        arrives = (
-            away[len(away) // 2 :].max(axis=0) < _ARRIVED * away[0]
-        )  # a log of one step holds one command throughout
+        # a log of one step holds one command throughout
+        arrives = away[len(away) // 2 :].max(axis=0) < _ARRIVED * away[0]
         odd = np.where(arrives, 0.0, moves)
         if not np.ptp(command, axis=0).any() and odd.max() > MIN_MOTION:
             j = int(np.argmax(odd))
