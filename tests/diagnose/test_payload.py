@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,12 +14,12 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from tau_dyn.diagnose import diagnose, nominal, payload
-from tau_dyn.diagnose.nominal import find_parameter_changes
+from tau_dyn.diagnose.nominal import describe_body_difference, find_parameter_changes
 from tau_dyn.diagnose.payload import compare_with_trusted, compute_body_properties, find_explanation
 from tau_dyn.evidence import Finding
 from tau_dyn.identify import Choices, Identification, identify
 from tau_dyn.log import Log
-from tau_dyn.robot import Robot, load_robot
+from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
 
 JOINTS = ("turn", "lift", "bend", "roll")
 MASS, CENTRE = 1.5, np.array([0.02, -0.03, 0.15])  # [kg], [m] in the last joint's frame
@@ -248,6 +249,22 @@ def test_a_file_with_all_bodies_off_has_no_single_cause(robot, judged, factors, 
     if cause == "link_mass":
         assert found[0].joints == ("upper_link",)
         assert_allclose(found[0].parameters[0].value, 0.3 * 6.0, rtol=0.1)
+
+
+@pytest.mark.parametrize(
+    ("body", "compared"),
+    [
+        ("", False),
+        ('<inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>', False),
+        ('<inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="0.9"/></inertial>', True),
+    ],
+)
+def test_bodies_that_the_file_does_not_give_differ_from_nothing(robot, body, compared) -> None:
+    """A log of a real arm contradicts stated bodies, but no file without masses, and no file with one sphere for all links."""
+    bare = load_robot_from_urdf(re.sub("<inertial>.*?</inertial>", body, robot.urdf, flags=re.DOTALL), "arm")
+    fit = identify(bare, [recorded(robot, 1)], model="asymmetric")
+    remark = describe_body_difference(fit.model, fit.nominal, fit.estimate)
+    assert bool(remark or find_parameter_changes(fit.model, fit.nominal, fit.parameters, fit.estimate)) is compared
 
 
 @pytest.mark.parametrize(("angle", "places"), [(0.15, ("roll_link",)), (0.6, ())])

@@ -13,6 +13,7 @@ from tau_dyn.evidence import (
     is_hopeless,
     is_part_missing,
     is_preferred,
+    is_preferred_at_each_joint,
     is_preferred_in_each_half,
     list_aliases,
     permits_size,
@@ -75,6 +76,14 @@ def test_both_halves_of_a_log_agree_on_a_true_reading() -> None:
     """Columns are named once for a whole log; a half without evidence is no objection."""
     assert is_preferred_in_each_half([40.0, 60.0]) and is_preferred_in_each_half([-0.5, 60.0])
     assert not is_preferred_in_each_half([-20.0, 160.0])
+
+
+def test_a_direction_of_gravity_makes_no_joint_worse() -> None:
+    """A spring at a wrist resembles another gravity there, and the other joint, which carries weight, contradicts it."""
+    test, before, counts = ReadingTest(SIZE, 0.05), fit(0.0, 0.06, 0.4), np.array([200.0, 200.0])
+    assert is_preferred_at_each_joint(test, before, fit(100.0, 0.06, 0.1), counts)
+    assert not is_preferred_at_each_joint(test, before, fit(100.0, 0.062, 0.1), counts)
+    assert is_preferred_at_each_joint(test, fit(0.0, 0.01, 0.4), fit(100.0, 0.03, 0.1), counts)  # below the model error
 
 
 def test_a_recorded_velocity_vetoes_another_clock_and_confirms_it() -> None:

@@ -9,8 +9,10 @@ from tau_dyn.robot import (
     ACCURATE_FILE,
     ROUGH_FILE,
     BodyPrior,
+    Robot,
     compute_body_radius,
     compute_nominal_stderr,
+    find_placeholders,
     load_robot,
     load_robot_from_urdf,
 )
@@ -59,6 +61,35 @@ def test_a_body_known_worse_than_the_default_is_so_in_all_its_numbers() -> None:
     doubted = BodyPrior.of(robot, robot.parameters.update({"rod_link.mass": {"prior_stderr": 0.8}}))
     for name, size in doubted.size.items():
         assert_allclose([doubted.accurate[name], doubted.rough[name]], 0.4 * size, rtol=1e-12)
+
+
+ROUND = '<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/>'
+SLENDER = '<inertia ixx="0.001" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/>'
+
+
+def build_chain(n: int, inertia: str) -> Robot:
+    """Return a chain of equal links, the second of which is fixed to the first."""
+    body = f'<inertial><origin xyz="0.1 0 0"/><mass value="0.5"/>{inertia}</inertial>'
+    parts = ['<link name="link0"/>']
+    for k in range(1, n + 1):
+        kind = "fixed" if k == 2 else "revolute"
+        parts.append(
+            f'<link name="link{k}">{body}</link><joint name="j{k}" type="{kind}"><parent link="link{k - 1}"/>'
+            f'<child link="link{k}"/><origin xyz="0.3 0 0"/><axis xyz="0 0 1"/>'
+            '<limit lower="-1" upper="1" velocity="1" effort="1"/></joint>'
+        )
+    return load_robot_from_urdf(f'<robot name="chain">{"".join(parts)}</robot>', "chain")
+
+
+def test_equal_spheres_are_placeholders() -> None:
+    """No two parts of a robot are equal spheres; three equal rods may be, and so may two balls."""
+    robot = build_chain(4, ROUND)
+    assert find_placeholders(robot.model) == {1, 2, 3}
+    assert any("placeholders" in sentence for sentence in robot.warnings)
+    prior = BodyPrior.of(robot)
+    for name, size in prior.size.items():
+        assert prior.rough[name] == prior.accurate[name] == size
+    assert not find_placeholders(build_chain(4, SLENDER).model) and not find_placeholders(build_chain(2, ROUND).model)
 
 
 def test_a_file_without_mass_tells_nothing() -> None:

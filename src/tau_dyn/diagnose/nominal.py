@@ -25,7 +25,7 @@ from tau_dyn.estimate import Estimate
 from tau_dyn.evidence import DIFFERENCE_LEVEL, MIN_FORCE_SHARE, Finding
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter, Parameters
-from tau_dyn.robot import Robot, compute_nominal_stderr
+from tau_dyn.robot import Robot, compute_nominal_stderr, find_placeholders
 
 MAX_GAIN_RANGE = (0.5, 2.0)
 """Factor of a logged force: a torque constant is wrong by 30 % at most, a wrong pulley or winding by a factor of two; a larger
@@ -47,7 +47,7 @@ def find_parameter_changes(
         fitted: Values of the final model, with standard errors.
         estimate: The fit behind them, whose base parameters are compared; None to compare masses alone.
     """
-    found = _find_deviations(model, nominal, fitted, estimate)
+    found = _find_deviations(model, nominal, fitted, estimate) if _states_bodies(model.robot, nominal) else []
     return [_suspect_implausible(finding, model.robot, nominal) for finding in found]
 
 
@@ -64,7 +64,11 @@ def describe_body_difference(model: Model, nominal: Parameters, estimate: Estima
         nominal: Trusted values.
         estimate: The fit whose base parameters are compared.
     """
-    if estimate is None or not any(len(link.own) > 1 for link in model.robot.links):
+    if (
+        estimate is None
+        or not any(len(link.own) > 1 for link in model.robot.links)
+        or not _states_bodies(model.robot, nominal)
+    ):
         return ""
     difference = compare_with_trusted(model.robot, nominal, estimate)
     n = len(difference.d)
@@ -99,6 +103,13 @@ def _find_deviations(model: Model, nominal: Parameters, fitted: Parameters, esti
     if len(off) > 1 and _is_common_factor(ratio, sigma):
         return [_build_gain_finding(ratio, sigma, float(p_values.min()))]
     return [_build_mass_finding(model, *rows[k], float(z[k]), float(p_values[k]), len(rows) == 1) for k in off]
+
+
+def _states_bodies(robot: Robot, nominal: Parameters) -> bool:
+    """Return whether a mass is given that is no placeholder; without one there is nothing that a fit could differ from."""
+    unknown = find_placeholders(robot.model) if all(p.stderr is None for p in nominal) else frozenset()
+    stated = (f"{link.link}.mass" for link in robot.links if link.joint_id not in unknown)
+    return any(name in nominal and nominal[name].value > 0 for name in stated)
 
 
 def _suspect_place(finding: Finding, places: Sequence[str]) -> Finding:

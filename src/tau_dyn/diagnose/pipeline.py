@@ -218,7 +218,7 @@ def _describe_poor_fits(found: Examination, case: FittedBaseline) -> Sequence[st
     """Return a warning about the outputs at which the error of the extended model is much larger than noise."""
     last = found.waterfall.fits[-1]
     regression = replace(last.regression, preparation=case.preparation)
-    return describe_poor_fits(find_poor_fits(regression, last.residuals))
+    return describe_poor_fits(find_poor_fits(regression, last.residuals), causes_sought=True)
 
 
 def _build_options(

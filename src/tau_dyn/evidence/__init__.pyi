@@ -113,6 +113,7 @@ from .readings import (
     is_hopeless as is_hopeless,
     is_part_missing as is_part_missing,
     is_preferred as is_preferred,
+    is_preferred_at_each_joint as is_preferred_at_each_joint,
     is_preferred_in_each_half as is_preferred_in_each_half,
     list_aliases as list_aliases,
     permits_size as permits_size,

@@ -80,15 +80,21 @@ def find_poor_fits(
     return tuple(found)
 
 
-def describe_poor_fits(found: Sequence[PoorFit]) -> list[CodedWarning]:
-    """Return the warning that names the joints of a poor fit; empty if there are no such joints."""
+def describe_poor_fits(found: Sequence[PoorFit], *, causes_sought: bool = False) -> list[CodedWarning]:
+    """Return the warning that names the joints of a poor fit; empty if there are no such joints.
+
+    Args:
+        found: The joints.
+        causes_sought: Whether causes were searched already, so that this is no advice.
+    """
     if not found:
         return []
     listed = ", ".join(f"{one.joint} ({100 * one.missed_share:.0f} %)" for one in found)
     sentence = (
         f"the model misses much of the force beyond its noise at {listed}; check the sign, unit, zero and order of columns "
-        "(tau-dyn check LOG ROBOT), then look for a cause (tau-dyn diagnose)"
+        "(tau-dyn check LOG ROBOT)"
     )
+    sentence += "" if causes_sought else ", then look for a cause (tau-dyn diagnose)"
     return [CodedWarning("poor_fit", sentence, [one.joint for one in found])]
 
 

@@ -62,6 +62,10 @@ The force of a joint that moves nearly freely is the small difference of large t
 MAX_HALF_LOSS_NATS = 1.0
 """Largest tolerated loss in one half of a log [nats]: a half without evidence has a ratio of likelihoods near one."""
 
+MAX_JOINT_LOSS_NATS = 3.0
+"""Largest tolerated loss of one joint's evidence under another direction of gravity [nats]: every joint carries weight, so a
+force at one joint that resembles gravity is not allowed to name it at the cost of the others."""
+
 EXPLAINED = 0.02
 """Residual of each joint, as a share of its force, that a reading must reach to be judged by the finer measure."""
 
@@ -250,6 +254,12 @@ def is_part_missing(left: float, *, is_single: bool, of_bodies: bool = False) ->
 def is_preferred_in_each_half(gains: Sequence[float]) -> bool:
     """Return whether the gains of a reading in parts of a log [nats] do not contradict it."""
     return min(gains, default=0.0) > -MAX_HALF_LOSS_NATS
+
+
+def is_preferred_at_each_joint(test: ReadingTest, before: ReadingFit, after: ReadingFit, counts: np.ndarray) -> bool:
+    """Return whether no joint contradicts a reading of the whole robot, with the effective number of samples of each (na,)."""
+    gains = counts * np.log(np.maximum(before.power, test.floor) / np.maximum(after.power, test.floor)) / 2
+    return bool(np.min(gains) > -MAX_JOINT_LOSS_NATS)
 
 
 def is_factor_known(factor: float, stderr: float) -> bool:

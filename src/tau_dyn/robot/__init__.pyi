@@ -14,6 +14,7 @@ from .body_prior import (
     compute_body_radius as compute_body_radius,
     compute_body_size as compute_body_size,
     compute_nominal_stderr as compute_nominal_stderr,
+    find_placeholders as find_placeholders,
 )
 from .dimensions import read_dimensions_file as read_dimensions_file
 from .expand import (

@@ -13,15 +13,20 @@ This is a contaminated normal distribution (Tukey 1960; Box & Tiao 1968). It ans
 - *How large may the error of a body be in directions without information in the logs?* No log excludes the rough file there, so
   `rough` is the spread.
 
+A body whose mass and round inertia are repeated in the file is a placeholder (`find_placeholders`): its numbers are known to
+themselves only, and no log refutes them.
+
 One number cannot answer both. At 25 %, a link that is too heavy by half is not reported. At 2 %, a quantity that only the file
 determines (a compliance, the size of a body) has an interval that is ten times too narrow for a manufacturer's file.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.robot.robot import INERTIAL, LinkInertia, Robot
@@ -35,6 +40,10 @@ ROUGH_FILE = 0.25
 
 The masses in the files of the UR5 and the UR10 sum to 20.99 and 32.70 kg; the manufacturer states 18.4 and 28.9 kg. Independent
 errors `e` of the links, `sum m = M`, give a total error of `e sqrt(sum m^2)`: so `e` is 28 and 26 % of a link."""
+PLACEHOLDER = 1.0
+"""Standard deviation of a placeholder's number, relative to the body's size."""
+MIN_PLACEHOLDERS = 3
+"""Number of links with the same mass and the same round inertia from which these are placeholders."""
 MIN_MASS_SHARE = 1e-3
 """Assumed mass of a body without mass, relative to that of all bodies."""
 UNKNOWN_RADIUS_M = 0.05
@@ -71,11 +80,13 @@ class BodyPrior:
         given = robot.parameters if parameters is None else parameters
         stated = {p.name: p.prior_stderr for p in given if p.prior_stderr is not None}
         total = sum(max(float(link.nominal[0]), 0.0) for link in robot.links)
+        placeholders = find_placeholders(robot.model)
         size: dict[str, float] = {}
         accurate, rough = ({p.name: ACCURATE_FILE * abs(p.value) for p in given if p.name.endswith(".armature")}, {})
         for link in robot.links if total > 0 else ():
             sizes = compute_body_size(link, total)
             weighed = stated.get(f"{link.link}.{INERTIAL[0]}", 0.0) / sizes[0]
+            weighed = PLACEHOLDER if link.joint_id in placeholders else weighed
             for k, name in zip(link.own, link.names, strict=True):
                 size[name] = float(sizes[k])
                 accurate[name] = max(ACCURATE_FILE, weighed) * size[name]
@@ -83,6 +94,35 @@ class BodyPrior:
         accurate |= {name: stderr for name, stderr in stated.items() if name in accurate}
         rough |= {name: stderr for name, stderr in stated.items() if name in rough}
         return cls(size, accurate, rough)
+
+
+def find_placeholders(model: pin.Model) -> frozenset[int]:
+    """Return the joints whose bodies have the mass and the round inertia of at least two other links.
+
+    Simulators require inertias, so files contain one invented value for all links. No two parts of a robot are equal spheres.
+
+    Args:
+        model: The tree. The body of a joint holds the links that are fixed to it, whose frames keep their own inertia.
+    """
+    links = [(f.parentJoint, f.placement, f.inertia) for f in model.frames if f.inertia.mass > 0]
+    first = list(model.inertias)
+    for joint, placement, inertia in links:
+        first[joint] = first[joint] - placement.act(inertia)
+    bodies = [(joint, _round_body(inertia)) for joint, _, inertia in links]
+    bodies += [
+        (joint, _round_body(own)) for joint, own in enumerate(first) if own.mass > 1e-9 * model.inertias[joint].mass
+    ]
+    number = Counter(body for _, body in bodies)
+    real = {joint for joint, body in bodies if body is None or number[body] < MIN_PLACEHOLDERS}
+    return frozenset({joint for joint, _ in bodies} - real - {0})
+
+
+def _round_body(body: pin.Inertia) -> tuple[str, str] | None:
+    """Return mass and inertia, to six digits, of a body with three equal principal moments; None for any other body."""
+    moment = float(np.trace(body.inertia)) / 3
+    if not moment > 0 or not np.allclose(body.inertia, moment * np.eye(3), rtol=0, atol=1e-6 * moment):
+        return None
+    return f"{body.mass:.6g}", f"{moment:.6g}"
 
 
 def compute_nominal_stderr(p: Parameter) -> float | None:

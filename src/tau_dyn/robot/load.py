@@ -30,6 +30,7 @@ from tau_dyn.robot.annotations import (
     Spring,
     read_annotations,
 )
+from tau_dyn.robot.body_prior import find_placeholders
 from tau_dyn.robot.closed_home import close_home
 from tau_dyn.robot.expand import expand, find_robot
 from tau_dyn.robot.floating_base import BASE_COORDINATES, free_base
@@ -220,6 +221,11 @@ def load_robot_from_urdf(
     links = _links(model, notes)
     if not any(model.inertias[link.joint_id].mass > 0 for link in links):
         warnings.append("the robot file gives no mass at all; all inertial parameters start from zero")
+    if alike := find_placeholders(model):
+        warnings.append(
+            f"{source}: {len(alike)} bodies have the same mass and the same round inertia: these are placeholders, and "
+            "no log is compared with them"
+        )
     kinds = {j: model.joints[model.getJointId(j)].shortname() for j in names}
     units = {j: "kg" if kind.startswith("JointModelP") else "kg m^2" for j, kind in kinds.items()}
     found = Robot(

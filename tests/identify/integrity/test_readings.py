@@ -240,3 +240,28 @@ def test_a_recorded_velocity_decides_about_the_clock(two_link, arm_log) -> None:
     assert get_code(warning) == "scale_wrong" and "the clock runs" in warning
     agreeing = slow.with_channels(**{f"v_{j}": arm_log.channels[f"v_{j}"] / 2 for j in JOINTS})
     assert not any("the clock runs" in w for w in check_against_robot(two_link, [agreeing]))
+
+
+def test_placeholder_bodies_accuse_no_force(make) -> None:
+    """A file with one invented sphere for all links says nothing about the size of a wrist's torque, or about gravity."""
+    body = '<inertial><mass value="{m}"/><inertia ixx="{i}" ixy="0" ixz="0" iyy="{i}" iyz="0" izz="{i}"/></inertial>'
+    arm = """<robot name="arm"><link name="base"/>{links}
+    <joint name="yaw" type="revolute"><parent link="base"/><child link="column"/><axis xyz="0 0 1"/>{limit}</joint>
+    <joint name="lift" type="revolute"><parent link="column"/><child link="boom"/><axis xyz="0 1 0"/>{limit}</joint>
+    <joint name="roll" type="revolute"><parent link="boom"/><child link="hand"/><origin xyz="0.4 0 0"/><axis xyz="1 0 0"/>
+    {limit}</joint></robot>"""
+    limit = '<limit lower="-2" upper="2" velocity="3" effort="50"/>'
+
+    def build(*bodies: tuple[float, float]) -> Robot:
+        names = ("column", "boom", "hand")
+        links = [f'<link name="{n}">{body.format(m=m, i=i)}</link>' for n, (m, i) in zip(names, bodies, strict=True)]
+        return load_robot_from_urdf(arm.format(links="".join(links), limit=limit), "arm")
+
+    truth = build_model(build((2.0, 0.02), (1.5, 0.03), (0.3, 2e-5)), "symmetric")
+    friction = {"yaw": 0.2, "lift": 0.3, "roll": 0.002}
+    truth = truth.with_values({n: friction[n.partition(".")[0]] for n in truth.effect_parameters.names})
+    log = make.recorded(truth, build_named_motion("fourier", truth, 20.0, 1), force_noise=1e-4, encoder_noise=1e-6)
+    spring = 4e-3 * np.sin(log.joint("q", ("roll",))[:, 0])
+    log = log.with_channels(tau_roll=log.channels["tau_roll"] + spring)
+    assert check_against_robot(build(*[(0.5, 1e-3)] * 3), [log]) == []
+    assert {get_code(w) for w in check_against_robot(build((0.5, 1e-3), (0.5, 1.1e-3), (0.5, 1.2e-3)), [log])}

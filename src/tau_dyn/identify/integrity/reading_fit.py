@@ -21,7 +21,7 @@ from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.identify.integrity.excerpt import Excerpt, compute_clipped_power
 from tau_dyn.identify.integrity.wiring_alternatives import Rewiring
 from tau_dyn.mechanism import Mechanism, build_mechanism
-from tau_dyn.robot import LENGTH_POWERS, BodyPrior, Robot, compute_body_radius
+from tau_dyn.robot import LENGTH_POWERS, BodyPrior, Robot, compute_body_radius, find_placeholders
 
 MODEL_ERROR = 0.05
 """Least residual of a joint, as a share of its force: the effect of compliance, cables and heat in sound robots."""
@@ -278,12 +278,15 @@ def _weigh_drives(own: list[np.ndarray], size: np.ndarray, na: int) -> np.ndarra
 def _bounds(robot: Robot, prior: np.ndarray) -> np.ndarray:
     """Return lower bounds of the unknowns (n,) of bodies and drive inertia."""
     low = np.full(prior.shape[1], -np.inf)
+    unknown = find_placeholders(robot.model)
+    placeholders = {name for link in robot.links if link.joint_id in unknown for name in link.names}
     for k, (name, value) in enumerate(zip(robot.parameters.names, robot.parameters.values, strict=True)):
         column = np.flatnonzero(prior[k])
         if name.endswith(".armature") and column.size:
             low[column] = -value / prior[k, column]
         elif name.endswith((".mass", ".ixx", ".iyy", ".izz")) and column.size and value > 0:
-            low[column] = -(1 - MIN_MASS_SHARE) * value / prior[k, column]
+            least = 0.0 if name in placeholders else MIN_MASS_SHARE
+            low[column] = -(1 - least) * value / prior[k, column]
     return low
 
 

@@ -24,6 +24,7 @@ from tau_dyn.evidence import (
     is_factor_known,
     is_hopeless,
     is_part_missing,
+    is_preferred_at_each_joint,
     is_preferred_in_each_half,
     list_aliases,
     permits_size,
@@ -234,6 +235,9 @@ class Search:
             return None
         if reading.code == "scale_wrong" and not self._is_determined(reading):
             return None
+        if reading.code == "gravity_direction" and fit is not None:
+            if not is_preferred_at_each_joint(test, fit, after, self.model.counts):
+                return None
         return Fault(reading, fit, after)
 
     def _is_determined(self, reading: Rewiring) -> bool:
