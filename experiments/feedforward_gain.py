@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from tau_dyn.cli.demo import build_true_model, hidden_model
+from tau_dyn.cli.demo import make_gantry
 from tau_dyn.control import Feedforward
 from tau_dyn.diagnose import diagnose
 from tau_dyn.identify import identify
@@ -25,11 +25,6 @@ from tau_dyn.simulate import CascadeController, CascadeLaw, Sensors, build_named
 SENSORS = Sensors(encoder_noise=5e-6, force_noise=5.0, log_rate_hz=500.0)
 WIDTH = 0.005  # [m/s] within which the feedforward's sign of friction is smoothed
 MOTIONS = {"fourier": 20.0, "strokes": 20.0}  # what is tracked, for so long [s]
-
-
-def off_nominal(model: Model, rng: np.random.Generator) -> Model:
-    names = [n for n in model.parameters.names if n.endswith(".mass")]
-    return model.with_values({n: model.parameters[n].value * float(rng.uniform(0.9, 1.1)) for n in names})
 
 
 def models(truth: Model, seed: int) -> dict[str, Model | None]:
@@ -59,9 +54,7 @@ def main(seeds: int, seed: int, out_dir: Path) -> None:
     out_dir.mkdir(parents=True, exist_ok=True)
     rows = []
     for one in range(seed, seed + seeds):
-        truth = off_nominal(
-            hidden_model(build_true_model(load_robot("gantry_tau", prototype="l1"), one)), np.random.default_rng(one)
-        )
+        truth = make_gantry(one).truth
         for name, model in models(truth, one).items():
             for motion in MOTIONS:
                 rows.append(

@@ -24,7 +24,7 @@ import numpy as np
 import pandas as pd
 from hidden_effects_parts.forms import either, log_uniform, one
 from hidden_effects_parts.recording import Recording, draw_motion, draw_sensing
-from hidden_effects_parts.robots import DRAWS, TURNING, Rig, draw_rig
+from hidden_effects_parts.robots import DRAWS, Rig, draw_rig
 from hidden_effects_parts.sets import hidden_force
 from hidden_effects_parts.strength import Ruler, base_columns
 
@@ -50,7 +50,8 @@ SATURATION_SHARE = 0.1
 def spoil_zero(rig: Rig, runs: list[Recording], rng: np.random.Generator) -> tuple[list[Recording], str, str]:
     """Return the runs as an encoder with another zero shows them, the cause and the joint."""
     joint, sign = int(rng.choice(TOLD[rig.name])), either(rng)
-    size = log_uniform(rng, 5e-3, 0.3) if rig.name in TURNING else log_uniform(rng, 1e-3, 20e-3)
+    turns = rig.robot.joint_kinds[joint] == "revolute"
+    size = log_uniform(rng, 5e-3, 0.3) if turns else log_uniform(rng, 1e-3, 20e-3)
     shift = np.zeros(len(rig.joints))
     shift[joint] = sign * size
     return [replace(run, q=run.q + shift) for run in runs], "joint_zero", rig.joints[joint]
