@@ -17,6 +17,7 @@ from tau_dyn.estimate import (
     find_base,
     solve_least_squares,
 )
+from tau_dyn.evidence import compute_overfit_factor
 from tau_dyn.identify import ForceErrors, identify
 from tau_dyn.identify.estimate_warnings import (
     list_equivalent_models,
@@ -174,3 +175,21 @@ def test_held_out_logs_of_another_machine_are_told(held: tuple[float, float], co
     said = list_held_out_warnings(train, holdout)
     assert [get_code(one) for one in said] == codes and all("b (3.5 times)" in one for one in said)
     assert list_held_out_warnings(train, None) == []
+    assert (
+        list_held_out_warnings(train, holdout, overfit=1.3) == []
+    )  # so many parameters that chance explains the ratio
+
+
+def test_many_parameters_make_held_out_errors_larger_than_training_errors(rng) -> None:
+    """60 values and 40 parameters: a true model predicts new data 2.2 times worse than the data of its fit."""
+    n, p, ratios = 60, 40, []
+    for _ in range(40):
+        X, new, theta = rng.normal(size=(n, p)), rng.normal(size=(2000, p)), rng.normal(size=p)
+        y = X @ theta + rng.normal(size=n)
+        fitted = np.linalg.lstsq(X, y)[0]
+        held = new @ (theta - fitted) + rng.normal(size=2000)
+        ratios.append(np.mean(held**2) / np.mean((y - X @ fitted) ** 2))
+    factor = compute_overfit_factor(n, p)
+    assert factor == pytest.approx(np.sqrt((1 + 2 / 3) / (1 - 2 / 3)))
+    assert 1.0 < np.sqrt(np.mean(ratios)) / factor < 1.5  # random motions excite the parameters unequally
+    assert compute_overfit_factor(1e6, 40) == pytest.approx(1.0, rel=1e-4) and compute_overfit_factor(40, 40) == np.inf

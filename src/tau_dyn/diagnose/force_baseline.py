@@ -42,6 +42,7 @@ from tau_dyn.estimate import PhysicalConstraints, Regression, solve_least_square
 from tau_dyn.evidence import (
     TRAIN,
     Channel,
+    compute_overfit_factor,
 )
 from tau_dyn.exceptions import CannotAnswer
 from tau_dyn.identify import (
@@ -117,6 +118,7 @@ class FittedBaseline:
         pieces: Even stretches of the training logs, then of the held-out logs, as they were logged.
         warnings: Warnings about the logs.
         loads: Bodies that some logs carry at the tool beyond the others.
+        overfit: Held-out over training rms that the number of parameters explains.
     """
 
     nominal: Model
@@ -130,6 +132,7 @@ class FittedBaseline:
     pieces: tuple[Log, ...]
     warnings: tuple[str, ...] = ()
     loads: tuple[CarriedLoad, ...] = ()
+    overfit: float = 1.0
 
     @cached_property
     def _noise_only_logs(self) -> list[NoiseOnlyLog]:
@@ -229,14 +232,14 @@ def fit_baseline(
         if detect_position_periodicity(case.channel, smooth_hz):
             smooth_hz = (filters.position_cutoff_hz,) * len(pieces)  # as they are
             case = _fitted(model, pieces, is_held, (filters, reported), smooth_hz, clear_hz, progress)
-        return replace(case, warnings=(*warnings, *_data_warnings(case, train)))
+        return _examine_information(replace(case, warnings=tuple(warnings)), train)
     except CannotAnswer as fault:
         fault.warnings = (*warnings, *fault.warnings)
         raise
 
 
-def _data_warnings(case: FittedBaseline, train: Sequence[Log]) -> list[str]:
-    """Return warnings if the training part holds little independent information for the baseline, or joints mostly rest.
+def _examine_information(case: FittedBaseline, train: Sequence[Log]) -> FittedBaseline:
+    """Return the case with warnings if the training part holds little information for the baseline, or joints mostly rest.
 
     Raises:
         CannotAnswer: It holds fewer independent values than the baseline has unknowns: causes would be fitted to chance errors.
@@ -255,7 +258,8 @@ def _data_warnings(case: FittedBaseline, train: Sequence[Log]) -> list[str]:
             f"({sum(log.duration for log in train):.3g} s of motion up to {band_hz:.2g} Hz)",
             EXPERIMENT,
         )
-    return [*list_information_warnings(used, rank, band_hz), *list_resting_warnings(used)]
+    more = [*list_information_warnings(used, rank, band_hz), *list_resting_warnings(used)]
+    return replace(case, warnings=(*case.warnings, *more), overfit=compute_overfit_factor(held, rank))
 
 
 def _fitted(

@@ -278,7 +278,8 @@ def _answer(
     limits, untestable = compute_detection_limits(selection, [f.cause for f in findings])
     use = Recommendation("neither", spoiled)
     if not spoiled:
-        use = recommend(selection, claims, waterfall, rng, case and case.physics, has_load=bool(loads.confirmed))
+        overfit, physics = (case.overfit, case.physics) if case else (1.0, None)
+        use = recommend(selection, claims, waterfall, rng, physics, has_load=bool(loads.confirmed), overfit=overfit)
     warnings = tuple(dict.fromkeys((*warnings, *use.warnings)))
     rest = "cannot_tell" if spoiled else decide_verdict(findings, unexplained, aliased, warnings)
     verdict = "named" if loads.confirmed and not spoiled else rest

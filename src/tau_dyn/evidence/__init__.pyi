@@ -35,6 +35,7 @@ from .claims import (
     Claims as Claims,
     Recommendation as Recommendation,
     Waterfall as Waterfall,
+    compute_overfit_factor as compute_overfit_factor,
     describe_foreign_joints as describe_foreign_joints,
     explain_gain as explain_gain,
     recommend as recommend,

@@ -336,6 +336,7 @@ def recommend(
     physics: PhysicalConstraints | None = None,
     *,
     has_load: bool = False,
+    overfit: float = 1.0,
 ) -> Recommendation:
     """Return the recommended model, from the causes with their status and their waterfall.
 
@@ -346,10 +347,11 @@ def recommend(
         rng: Random numbers for intervals.
         physics: Physical consistency of the baseline's values.
         has_load: Whether some logs carry a confirmed load, which is part of neither model.
+        overfit: Held-out over training rms that the number of parameters explains; see `compute_overfit_factor`.
     """
     channel = selection.channel
     before, after = waterfall.fits[0], waterfall.fits[-1]
-    if foreign := describe_foreign_joints(find_foreign_joints(channel, after)):
+    if foreign := describe_foreign_joints(find_foreign_joints(channel, after, overfit)):
         return Recommendation("neither", str(foreign[0]), foreign)
     if waterfall.nominal is not None and is_worse(
         loss := compute_gain(channel, waterfall.nominal.residuals, before.residuals, channel.outputs, rng)
@@ -389,8 +391,24 @@ def recommend(
     return Recommendation("extended", f"{why} (95 % interval [{low:.2g}, {high:.2g}] %), and {tolerance}")
 
 
-def find_foreign_joints(channel: Channel, fit: EvaluatedFit) -> list[tuple[str, float]]:
-    """Return the outputs whose held-out rms is many times the training rms, with the ratio; empty without held-out logs."""
+def compute_overfit_factor(n_values: float, rank: int) -> float:
+    """Return held-out over training rms of a true model with `rank` parameters fitted to `n_values` independent values.
+
+    The training residual has the variance `s^2 (1 - r)` and the prediction of new data `s^2 (1 + r)`, with `r = rank / n_values`
+    (Akaike 1970, final prediction error). It is infinite if there are fewer values than parameters.
+    """
+    share = rank / n_values if n_values > 0 else np.inf
+    return float(np.sqrt((1 + share) / (1 - share))) if share < 1 else np.inf
+
+
+def find_foreign_joints(channel: Channel, fit: EvaluatedFit, overfit: float = 1.0) -> list[tuple[str, float]]:
+    """Return the outputs whose held-out rms is many times the training rms, with the ratio; empty without held-out logs.
+
+    Args:
+        channel: The data.
+        fit: The fit.
+        overfit: The ratio that the number of parameters explains.
+    """
     if not any(np.all(part == TRAIN) for part in channel.parts):
         return []
     found = []
@@ -399,7 +417,7 @@ def find_foreign_joints(channel: Channel, fit: EvaluatedFit) -> list[tuple[str, 
             float(np.sqrt(np.mean(e**2))) if len(e := channel.gather(fit.residuals, k, *parts)) else 0.0
             for parts in ((TRAIN,), (VALIDATION, TEST))
         )
-        if trained > 0 and held > MAX_HELD_OUT_RATIO * trained:
+        if trained > 0 and held > MAX_HELD_OUT_RATIO * overfit * trained:
             found.append((output, held / trained))
     return found
 

@@ -91,13 +91,19 @@ def list_unjudged_joint_warnings(train: ForceErrors, holdout: ForceErrors | None
     return found
 
 
-def list_held_out_warnings(train: ForceErrors, holdout: ForceErrors | None) -> list[str]:
-    """Return a warning if held-out logs are predicted so much worse that they probably belong to another machine."""
+def list_held_out_warnings(train: ForceErrors, holdout: ForceErrors | None, overfit: float = 1.0) -> list[str]:
+    """Return a warning if held-out logs are predicted so much worse that they probably belong to another machine.
+
+    Args:
+        train: Errors of the training logs.
+        holdout: Errors of the held-out logs.
+        overfit: Ratio of both that the number of parameters explains.
+    """
     if holdout is None:
         return []
     pairs = zip(train.joints, train.rms, holdout.rms, strict=True)
     ratios = {joint: held / trained for joint, trained, held in pairs if trained > 0}
-    return describe_foreign_joints([(joint, x) for joint, x in ratios.items() if x > MAX_HELD_OUT_RATIO])
+    return describe_foreign_joints([(joint, x) for joint, x in ratios.items() if x > MAX_HELD_OUT_RATIO * overfit])
 
 
 def list_inertia_scale_warnings(estimate: Estimate, nominal: Parameters) -> list[str]:

@@ -20,6 +20,7 @@ from tau_dyn.estimate import MAX_RELATIVE_STDERR, Estimate, Preparation, Regress
 from tau_dyn.evidence import (
     LogChange,
     build_shared_columns,
+    compute_overfit_factor,
     describe_changes,
     describe_poor_fits,
     find_changes,
@@ -164,7 +165,13 @@ def identify(
     compared = compare_logs(estimate, data.per_log, nominal)
     warnings += list_comparison_warnings(compared)
     warnings += list_unjudged_joint_warnings(trained, errors.errors)
-    warnings += list_held_out_warnings(trained, errors.errors if held else None)
+    in_memory = settled.built.regression.everything is None
+    overfit = (
+        compute_overfit_factor(count_information(settled.built.regression), solver.structural_rank)
+        if in_memory
+        else 1.0
+    )
+    warnings += list_held_out_warnings(trained, errors.errors if held else None, overfit)
     warnings += list_voltage_warnings(train, fitted.robot.driven)
     warnings += list_short_voltage_warnings(estimate)
     bodies = BodyPrior.of(fitted.robot)
