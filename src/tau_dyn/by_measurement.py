@@ -184,8 +184,9 @@ def diagnose_drives(robot: Robot | Identification, logs: Sequence[Log | Recordin
     """Find the errors of a model of forces; with more drives than freedoms, look for causes at each of the drives.
 
     A search looks at the actuated joints, and a cause at a redundant drive takes the name of another one there. So unless
-    nothing is found, the search is repeated with the redundant drives in the place of others, and the extended model with the
-    least error on test data is reported. Models from a file are searched once, with the drives that they name first.
+    nothing is found, the search is repeated with the redundant drives in the place of others. The one is reported whose confirmed
+    causes have the largest score on the data that were searched; errors on test data decide nothing. Models from a file are
+    searched once, with the drives that they name first.
 
     Args:
         robot: The robot, or an identification.
@@ -203,7 +204,8 @@ def diagnose_drives(robot: Robot | Identification, logs: Sequence[Log | Recordin
         return first
     others = _list_other_drives(robot)
     found = [first, *(diagnose_forces(other, logs, **options) for other in others)]
-    best = min(found, key=lambda one: one.extended.relative_error_percent)
+    scores = [sum(f.score for f in one.findings if f.status == "confirmed") for one in found]
+    best = found[scores.index(max(scores))]
     errors = [
         f"{' and '.join(machine.actuated)} ({one.extended.relative_error_percent:.3g} % left)"
         for machine, one in zip((robot, *others), found, strict=True)
