@@ -8,6 +8,8 @@ many pairs of parameters agree within their 95 % intervals, and how often an int
 causes: arms of one or two joints whose law the file gives, a third of them with nothing hidden; causes confirmed, whether the
 hidden one, or a twin, is among them, lambda (what the fitted baseline misses of the true motion, in variances of the
 encoder's noise, summed over samples and joints: a noncentrality), and the error on a further log over that of the true model.
+laws: simulated arms of one to three joints identified with the true law and with a wrong one (a gain of 0.5 to 0.75 or 1.33 to
+2 times the true one, or no back EMF): how often `poor_fit` is reported.
 spring: see spring_in_the_loop.py. speed: an arm of
 twelve joints, 120 s at 200 Hz.
 """
@@ -37,6 +39,7 @@ from tau_dyn.servo import LoopIdentification, diagnose_loop, identify_loop, simu
 from tau_dyn.servo.data import BASELINE, fit_coupled, keep_kinds  # noqa: E402
 from tau_dyn.servo.identification import predict  # noqa: E402
 from tau_dyn.servo.preparation import prepare_loop, read_loop_logs  # noqa: E402
+from tau_dyn.servo.residual_structure import compute_noise_floor  # noqa: E402
 from tau_dyn.servo.waves import SPRING_STEP_S  # noqa: E402
 from tau_dyn.simulate import ServoLaw, build_servo_law, read_servo_law  # noqa: E402
 
@@ -194,6 +197,42 @@ def summarise_causes(table: pd.DataFrame) -> str:
     )
 
 
+def tabulate_laws(sets: Iterable[int]) -> pd.DataFrame:
+    """Return whether a poor fit is reported with the true law and with a wrong one, and the residuals over the noise."""
+    rows = []
+    for seed in sets:
+        rng, arm = np.random.default_rng([78, seed]), build_arm(1 + seed % 3)
+        gain = float(rng.choice(GAINS))
+        law = build_law(arm, gain, **{key: rng.uniform(*x, arm.na) for key, x in RANGES.items()})
+        log = record(arm, build_truth(arm), law, 10 * seed, 30.0)
+        factor = float(np.exp(rng.uniform(np.log(4 / 3), np.log(2))))
+        kind, changed = (
+            ("gain too low", {"position_gain": gain / factor}),
+            ("gain too high", {"position_gain": gain * factor}),
+            ("no back EMF", {"back_emf": 0.0}),
+        )[seed // 3 % 3]
+        known = {"position_gain": gain, "force_per_unit": 2.9, "back_emf": 0.17}
+        for name, entries in (("true", known), (kind, known | changed)):
+            found = identify_loop(arm, log, law=ServoLaw.of(arm.actuated, **entries))
+            over = found.train.rms_per_joint / compute_noise_floor([r for r, _, _ in found.shown])
+            rows.append(
+                {"set": seed, "law": name, "poor": len(found.poor_fits), "residual_over_noise": float(over.max())}
+            )
+        print(rows[-2], rows[-1], flush=True)
+    return pd.DataFrame(rows)
+
+
+def summarise_laws(table: pd.DataFrame) -> str:
+    """Return how often a poor fit is reported, by law."""
+    reported = table["poor"] > 0
+    return ", ".join(
+        f"{law}: {reported[table['law'] == law].sum()} of {(table['law'] == law).sum()} reported (residual over noise "
+        f"{table['residual_over_noise'][table['law'] == law].min():.2f} to "
+        f"{table['residual_over_noise'][table['law'] == law].max():.2f})"
+        for law in table["law"].unique()
+    )
+
+
 def tabulate_speed() -> pd.DataFrame:
     """Return the seconds that a fit of twelve joints takes, 120 s at 200 Hz, held-out error included."""
     arm = build_arm(12, 0.03)
@@ -225,6 +264,7 @@ def main() -> None:
         "pairs": lambda: tabulate_pairs(sets),
         "causes": lambda: tabulate_causes(sets),
         "spring": lambda: tabulate_springs(sets),
+        "laws": lambda: tabulate_laws(sets),
         "speed": tabulate_speed,
     }
     for name in options.only:
@@ -232,8 +272,8 @@ def main() -> None:
         print(name, table.to_string(index=False), sep="\n")
         if name == "pairs":
             print(f"agree {table['agree'].mean():.3f}, covered {table['covered'].mean():.3f}")
-        if name in ("causes", "spring"):
-            print({"causes": summarise_causes, "spring": summarise_springs}[name](table))
+        if name in ("causes", "spring", "laws"):
+            print({"causes": summarise_causes, "spring": summarise_springs, "laws": summarise_laws}[name](table))
         if options.out:
             options.out.mkdir(parents=True, exist_ok=True)
             table.to_csv(options.out / f"without_torque_{name}.csv", index=False)

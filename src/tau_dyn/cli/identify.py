@@ -90,13 +90,12 @@ def identify(
                 **fitting.collect(model, output.seed),
             )
         files, drawn = _list_files(out, found, samples, output.seed, step)
+    command = partial(_write_diagnosis, robot, logs, holdout, robot_options, fitting)
     if isinstance(found, LoopIdentification):
-        lines = ["estimator: output error through the closed loop"]
+        again = ["the search for the effect that the simulation lacks:", command(controller=controller)]
+        lines = ["estimator: output error through the closed loop", *(again if found.poor_fits else [])]
     else:
-        lines = [
-            f"estimator: {found.estimator}",
-            *_suggest_diagnosis(found, robot, logs, holdout, robot_options, fitting),
-        ]
+        lines = [f"estimator: {found.estimator}", *_suggest_diagnosis(found, command)]
 
     return Outcome(
         result=found.to_dict() | ({} if drawn is None else {"samples": drawn.to_dict()}),
@@ -113,9 +112,18 @@ def identify(
     )
 
 
-def _suggest_diagnosis(
-    found: Identification, robot: str, logs: Sequence[str], holdout: Sequence[str], *options: object
-) -> list[str]:
+def _write_diagnosis(
+    robot: str, logs: Sequence[str], holdout: Sequence[str], *options: object, controller: Path | None = None
+) -> str:
+    """Return the command that searches for causes in the same logs."""
+    words = ["tau-dyn", "diagnose", robot, *logs]
+    words += ["--holdout", *holdout] if holdout else []
+    words += ["--controller", str(controller)] if controller else []
+    words += [word for some in options for word in args.list_words(some)]
+    return shlex.join(words)
+
+
+def _suggest_diagnosis(found: Identification, command: Callable[[], str]) -> list[str]:
     """Return a line with the command that searches for causes; empty if the residual is noise, or nearly."""
     from tau_dyn.evidence import MIN_STRUCTURED_SHARE, find_poor_fits
 
@@ -123,10 +131,7 @@ def _suggest_diagnosis(
     if not fits:
         return []
     listed = ", ".join(f"{fit.joint} ({100 * fit.missed_share:.2g} % of its force)" for fit in fits)
-    words = ["tau-dyn", "diagnose", robot, *logs]
-    words += ["--holdout", *holdout] if holdout else []
-    words += [word for some in options for word in args.list_words(some)]
-    return [f"the residual is more than noise at {listed}; the search for its cause:", shlex.join(words)]
+    return [f"the residual is more than noise at {listed}; the search for its cause:", command()]
 
 
 def _is_table(path: Path | None) -> bool:

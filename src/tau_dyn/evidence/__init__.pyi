@@ -68,8 +68,11 @@ from .judge import (
 from .lack_of_fit import (
     MAX_MISSED_SHARE as MAX_MISSED_SHARE,
     MIN_STRUCTURED_SHARE as MIN_STRUCTURED_SHARE,
+    PoorFit as PoorFit,
     describe_poor_fits as describe_poor_fits,
+    describe_poor_simulations as describe_poor_simulations,
     find_poor_fits as find_poor_fits,
+    find_poor_simulations as find_poor_simulations,
 )
 from .measurements import (
     EVERY as EVERY,

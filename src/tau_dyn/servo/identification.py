@@ -14,6 +14,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
+from tau_dyn.evidence import describe_poor_simulations, find_poor_simulations
 from tau_dyn.identify import find_structural_base, list_provenance
 from tau_dyn.log import Log, Recording
 from tau_dyn.model import Model
@@ -26,6 +27,7 @@ from tau_dyn.servo.fit import LoopFit, fit_loop
 from tau_dyn.servo.prediction import SimulatedMotion, simulate_coupled
 from tau_dyn.servo.preparation import LoopOptions, read_loop_logs
 from tau_dyn.servo.records import LoopRecord, mask_unused
+from tau_dyn.servo.residual_structure import compute_noise_floor
 from tau_dyn.servo.result import LoopIdentification, LoopParameter, build_position_errors
 from tau_dyn.servo.saturation import start_saturated
 from tau_dyn.servo.unknowns import JOINT_UNITS, get_unit
@@ -73,9 +75,18 @@ def identify_loop(
         by_gain, said = compare_gains(data, fit.x, progress)
         warnings += said
     warnings += list_loop_warnings(law, kept, others, [*given.train, *given.held], data, fit)
+    errors = build_position_errors(robot.actuated, kept, [m.q for m in trained])
+    poor = find_poor_simulations(
+        robot.actuated,
+        errors.rms_per_joint,
+        compute_noise_floor(kept),
+        errors.pool(errors.command_rms),
+        errors.count.sum(),
+    )
+    warnings += describe_poor_simulations(poor, dict(zip(robot.actuated, robot.position_units, strict=True)))
     return _build_result(
         data, fit, seed=given.seed, logs=given.train, held=given.held, friction=given.friction or "file",
-        contacts=given.contacts, train=build_position_errors(robot.actuated, kept, [m.q for m in trained]),
+        contacts=given.contacts, train=errors, poor_fits=poor,
         holdout=build_position_errors(robot.actuated, judged, [m.q for m in predicted]), how=how,
         shown=[(r, m.q, apart) for r, m, apart in pairs], warnings=warnings, by_gain=by_gain,
     )  # fmt: skip
@@ -124,7 +135,7 @@ def _build_result(
         holdout_how=how, contacts=tuple(contacts), warnings=tuple(dict.fromkeys(warnings)), seed=more["seed"], logs=tuple(logs),
         shown=tuple(shown), friction=more["friction"], n_samples=int(sum(r.used.sum() for r in data.records)) * robot.na,
         condition_number=float(np.linalg.cond(normal)) if loose.any() else 1.0, rank=u.n, start=(data, fit),
-        by_gain=tuple(more["by_gain"]),
+        by_gain=tuple(more["by_gain"]), poor_fits=more["poor_fits"],
     )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.estimate import MAX_RELATIVE_STDERR
+from tau_dyn.evidence import PoorFit
 from tau_dyn.log import Log
 from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model
@@ -179,6 +180,7 @@ class LoopIdentification(Shown):
         rank: Number of unknowns that were estimated.
         start: The fit's unknowns and their covariance, for a later fit.
         by_gain: Estimates of the drive from the logs of each gain alone, row by row, if logs have different gains.
+        poor_fits: Joints whose simulation differs from the training logs by far more than the encoder's noise.
     """
 
     model: Model
@@ -199,6 +201,7 @@ class LoopIdentification(Shown):
     rank: int
     start: Any = None
     by_gain: tuple[Mapping[str, Any], ...] = ()
+    poor_fits: tuple[PoorFit, ...] = ()
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the parameter table in the contract's form."""

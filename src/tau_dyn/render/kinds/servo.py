@@ -48,6 +48,9 @@ def _describe_headline(found: LoopIdentification) -> str:
 def _describe_verdict(found: LoopIdentification) -> r.Verdict:
     judged = found.holdout or found.train
     share = float(np.linalg.norm(judged.rms_per_joint) / max(np.linalg.norm(judged.pool(judged.command_rms)), 1e-9))
+    if share < GOOD_SHARE and found.poor_fits:
+        listed = ", ".join(one.joint for one in found.poor_fits)
+        return r.judge("care", f"The simulation follows the robot and lacks an effect at {listed}.", BADGES)
     if share < GOOD_SHARE:
         return r.judge("good", "The simulation follows the robot from its commands alone.", BADGES)
     if share < POOR_SHARE:
