@@ -1,0 +1,1 @@
+"""The simulator of `servo_sets.py`."""
