@@ -167,6 +167,14 @@ WARNING_CODES: dict[str, MessageCode] = {
     "prediction_missed": MessageCode(
         "a trial of `learn` ended above its predicted interval", "the sentence names the change"
     ),
+    "model_contradicted": MessageCode(
+        "`learn`, `observe`: the log contradicts the model that was given", "identify the model again"
+    ),
+    "near_limit": MessageCode(
+        "a gain is close to its stability limit, or a motion exceeds a limit between the places checked",
+        "a lower gain; a margin, or more nodes",
+    ),
+    "not_corrected": MessageCode("positions cannot be compensated", "the reason is in their row"),
     "path_deviates": MessageCode("a RAPID program leaves its motion", "move slower, or send a reference"),
     "poses_reread": MessageCode(
         "a pose file follows another convention than documented: sign, zero, order, unit, orientation or rows",

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 
 from tau_dyn.cli import main
 from tau_dyn.control import read_correction, read_reference, write_reference
@@ -271,3 +272,30 @@ def test_a_poor_fit_of_an_actuator_carries_a_code(tmp_path) -> None:
     result = json.loads((tmp_path / "r.json").read_text())
     assert result["axes"][0]["fit_percent"] < 80
     assert result["warning_codes"] == ["poor_fit"] and result["warning_joints"] == {"poor_fit": ["axis"]}
+
+
+def test_the_force_loop_takes_the_slow_ends_of_measured_delays(tmp_path) -> None:
+    """A delay of 9 +- 2 ms may be 12.9 ms, so four samples lie in the loop; a poor fit is named where the file is read."""
+    axis = {
+        "axis": "z",
+        "gain": 1.0,
+        "time_constant": 0.002,
+        "delay": 0.009,
+        "delay_stderr": 0.002,
+        "fit_percent": 70.0,
+    }
+    drives, out = tmp_path / "a.yaml", tmp_path / "r.json"
+    drives.write_text(yaml.safe_dump({"tau_dyn_actuators": 1, "axes": [axis]}))
+    command = ["lead-through", "--stiffness", "5e4", "--damping", "200", "--actuators", str(drives), "--json", str(out)]
+    assert main([*command, "--quiet"]) == 0
+    result = json.loads(out.read_text())
+    found = {row["name"]: row["value"] for row in result["settings"]}
+    assert found["delay"] == 4 and result["warning_codes"] == ["poor_fit"]
+    assert found["force_gain_limit"] == pytest.approx(ForceLoop(0.004, 1 / (2 * np.pi * 0.002), 4).limit(5e4).gain)
+
+
+def test_a_gain_near_oscillation_carries_a_code(tmp_path) -> None:
+    """At 80 % of the stability limit a force loop is stable and rings: status 0 with the code `near_limit`."""
+    gain, out = 0.8 * ForceLoop().limit(5e4).gain, tmp_path / "r.json"
+    assert main(["lead-through", "--stiffness", "5e4", "--gain", f"{gain:.6g}", "--json", str(out), "--quiet"]) == 0
+    assert json.loads(out.read_text())["warning_codes"] == ["near_limit"]

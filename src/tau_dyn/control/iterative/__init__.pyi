@@ -2,8 +2,10 @@
 
 from .actuator_models import (
     ActuatorModels as ActuatorModels,
+    SavedActuators as SavedActuators,
     fit_actuator_models as fit_actuator_models,
     read_actuators as read_actuators,
+    read_saved_actuators as read_saved_actuators,
 )
 from .filters import (
     TimeShift as TimeShift,

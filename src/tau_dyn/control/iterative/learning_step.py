@@ -114,10 +114,11 @@ class LearningStep(Shown):
             elif drive.reason:
                 out.append(f"{joint}: {drive.reason}")
             if drive.given_rms is not None and drive.given_rms > _POOR_MODEL * drive.fitted_rms:
-                out.append(
-                    f"{joint}: the actuator's model misses the first trial by {drive.given_rms:.3g}; one fitted to that trial "
+                said = (
+                    f"{joint}: the model given misses the first trial by {drive.given_rms:.3g}; one fitted to that trial "
                     f"misses it by {drive.fitted_rms:.3g} and is used"
                 )
+                out.append(CodedWarning("model_contradicted", said, (joint,)))
         return tuple(out)
 
     def count_inside(self) -> tuple[int, int]:

@@ -29,6 +29,7 @@ from scipy.optimize import minimize
 from tau_dyn.control.observers.complementary import ComplementaryToolObserver, require_signals
 from tau_dyn.control.observers.kalman import KalmanToolObserver
 from tau_dyn.control.observers.tuning import Whiteness, check_whiteness, log_likelihood, tune_kalman
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.modes import StateSpace
 from tau_dyn.results import Z95, Shown
 
@@ -151,7 +152,7 @@ class ToolObservation(Shown):
             for axis, p, r in zip(self.axes, e.whiteness.p_value, e.whiteness.correlation, strict=True)
             if p < _MIN_P
         ]
-        return tuple(said)
+        return tuple(CodedWarning("model_contradicted", sentence) for sentence in said)
 
     def to_rows(self) -> list[dict[str, Any]]:
         """Return one row an axis: deflection [m], standard error and 95 % half-width [m], bias [m/s^2]."""
