@@ -138,6 +138,48 @@ def test_the_last_trial_with_its_correction_is_the_last_of_a_history(folder) -> 
     np.testing.assert_allclose(one, other, atol=1e-9)
 
 
+def test_a_model_of_modes_lets_a_resonance_be_learnt(tmp_path, capsys) -> None:
+    """A drive that swings at 3 Hz: `modes` on a binary sequence, `learn --model` on two trials, a fifth is left."""
+    A, B = spring(2 * np.pi * 3.0)
+
+    def run(command: np.ndarray, name: str) -> float:
+        q, x = np.empty(len(command)), np.zeros(2)
+        for k, u in enumerate(command):
+            q[k], x = x[0], A @ x + B * u
+        q = q + 1e-6 * np.random.default_rng(0).standard_normal(len(q))
+        table = {"t": np.arange(len(q)) * DT, "q_ref_axis": command, "q_axis": q}
+        pd.DataFrame(table).to_csv(tmp_path / name, index=False)
+        return float(np.std(command - q))
+
+    run(0.01 * np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 150), 10), "noise.csv")
+    t = np.arange(700) * DT
+    wanted = 0.02 * (1 - np.cos(np.pi * np.clip((t - 0.7) / 0.6, 0, 1)))
+    pd.DataFrame({"t": t, "q_ref_axis": wanted}).to_csv(tmp_path / "ref.csv", index=False)
+    model, correction = tmp_path / "m.yaml", tmp_path / "c.csv"
+    command = ["modes", str(tmp_path / "noise.csv"), "--inputs", "q_ref_axis", "--outputs", "q_axis", "--order", "2"]
+    assert main([*command, "--out", str(model), "--quiet"]) == 0
+    errors, trials, sent = [], [], wanted
+    for name in ("t1.csv", "t2.csv", "t3.csv"):
+        run(sent, name)
+        errors.append(float(np.std(wanted - pd.read_csv(tmp_path / name)["q_axis"])))
+        trials.append(str(tmp_path / name))
+        step = [
+            "learn",
+            str(tmp_path / "ref.csv"),
+            "--history",
+            *trials,
+            "--model",
+            str(model),
+            "--out",
+            str(correction),
+        ]
+        assert main([*step, "--json", str(tmp_path / "r.json")]) == 0
+        sent = wanted + pd.read_csv(correction, comment="#")["dq_axis"].to_numpy()
+    assert errors[2] < 0.2 * errors[0] and "inverse of the model" in capsys.readouterr().out
+    assert json.loads((tmp_path / "r.json").read_text())["joints"][0]["inverts"]
+    assert main([*step, "--actuators", str(model)]) == 2 and "not both" in capsys.readouterr().err
+
+
 def test_a_history_without_commands_or_of_another_motion_is_refused(folder, capsys) -> None:
     """Status 2: a log that holds no command, a command that is far from the reference, and no trial at all."""
     command = ["learn", str(folder / "ref.csv"), "--out", str(folder / "no.csv"), "--quiet"]

@@ -79,6 +79,7 @@ def learn(
     *,
     history: Annotated[Strings, Parameter(metavar="FILE")] = (),
     actuators: Annotated[Path | None, Parameter(metavar="ACTUATORS.yaml")] = None,
+    model: Annotated[Path | None, Parameter(metavar="MODEL.yaml")] = None,
     correction: Annotated[Path | None, Parameter(metavar="FILE.csv")] = None,
     columns: ColumnMapFile = None,
     gain: Annotated[Positive | None, Parameter(group=_LAW, metavar="X")] = None,
@@ -101,6 +102,7 @@ def learn(
         trial: A log with t and q_J, from the motion's first sample on; the last trial
         history: Earlier trials in their order, with their commands as q_ref_J; or all
         actuators: A file of the actuators command (default: estimated from the first trial)
+        model: A model with resonances instead, from commands to positions, as modes --out writes it; its inverse is tried
         correction: The correction that was applied in TRIAL
         gain: Part of the error that one iteration removes (default: chosen)
         shift: Shift of the error forwards in time [samples] (default: chosen)
@@ -116,12 +118,20 @@ def learn(
 
     if trial is None and (not history or correction is not None):
         raise InputError("bad_option", "learn takes a TRIAL, --history FILE..., or both; --correction belongs to TRIAL")
+    if actuators is not None and model is not None:
+        raise InputError("bad_option", "learn takes --actuators or --model, not both")
     if robot is None and (measured or observed):
         raise InputError("bad_option", "--measured and --observed are positions of a tool; name its robot with --robot")
     with show_progress(output.quiet) as step:
         step("loading")
         from tau_dyn.control.interface import Correction, compute_digest, format_correction_text
-        from tau_dyn.control.iterative import LearningOptions, ToolAxes, compute_learning_step, read_actuators
+        from tau_dyn.control.iterative import (
+            LearningOptions,
+            ToolAxes,
+            compute_learning_step,
+            read_resonant_drives,
+            read_saved_actuators,
+        )
         from tau_dyn.simulate import Trajectory
 
         joints = _list_joints(reference)
@@ -147,9 +157,14 @@ def learn(
         for log, command in zip(logs, told, strict=True):
             _require_small(float(np.abs(command - wanted).max()), allowed, f"{log.name}: its correction")
         step("checking convergence")
+        drives, poor = None, ()
+        if actuators is not None:
+            saved = read_saved_actuators(actuators, names)
+            drives, poor = saved.actuators, saved.warnings
+        elif model is not None:
+            drives = read_resonant_drives(model, names, dt)
         found = compute_learning_step(
-            names, dt, wanted, told, seen, None if actuators is None else read_actuators(actuators, names),
-            LearningOptions(gain, shift, cutoff, lead, not not_monotone),
+            names, dt, wanted, told, seen, drives, LearningOptions(gain, shift, cutoff, lead, not not_monotone),
         )  # fmt: skip
         _require_small(float(np.abs(found.correction).max()), allowed, "the next correction")
         sent = found.correction if tool is None else tool.invert(motion.q, found.correction)
@@ -168,11 +183,12 @@ def learn(
             "frequencies": to_plain(found.to_frequency_rows()),
             "out": str(out),
         },
-        warnings=[*(w for log in logs for w in log.warnings), *found.warnings, *unseen],
+        warnings=[*(w for log in logs for w in log.warnings), *poor, *found.warnings, *unseen],
         inputs=[
             reference, *((path, log.sha256) for path, log in zip((*history, trial), logs, strict=False) if path),
             *((path, log.sha256) for path, log in zip(observed, shown, strict=False)),
-            *(p for p in (actuators, correction, columns) if p), *(robot_options.list_files(robot) if robot else []),
+            *(p for p in (actuators, model, correction, columns) if p),
+            *(robot_options.list_files(robot) if robot else []),
         ],
         files={out: text},
         named={"correction": out},

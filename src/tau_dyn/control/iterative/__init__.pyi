@@ -35,6 +35,11 @@ from .lifted_system import (
     compute_pulse_response as compute_pulse_response,
     stack_controlled_actuators as stack_controlled_actuators,
 )
+from .resonant_drive import (
+    ResonantDrive as ResonantDrive,
+    ResponseInverse as ResponseInverse,
+    read_resonant_drives as read_resonant_drives,
+)
 from .tool_axes import ToolAxes as ToolAxes
 from .trial_loop import (
     Convergence as Convergence,
