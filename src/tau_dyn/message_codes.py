@@ -175,6 +175,10 @@ WARNING_CODES: dict[str, MessageCode] = {
         "a lower gain; a margin, or more nodes",
     ),
     "not_corrected": MessageCode("positions cannot be compensated", "the reason is in their row"),
+    "preload_low": MessageCode(
+        "`feedforward share`: a preloaded drive changes its flank, so the gear passes its backlash",
+        "the preload in the sentence, or a slower motion",
+    ),
     "path_deviates": MessageCode("a RAPID program leaves its motion", "move slower, or send a reference"),
     "poses_reread": MessageCode(
         "a pose file follows another convention than documented: sign, zero, order, unit, orientation or rows",

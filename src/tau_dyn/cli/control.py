@@ -1,4 +1,4 @@
-"""`tau-dyn actuators`, `learn` and `observe`."""
+"""`tau-dyn actuators`, `learn`, `observe` and `feedforward share`."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from cyclopts import Group, Parameter
 
 from tau_dyn.cli.arguments import (
     ColumnMapFile,
+    Finites,
     NotNegative,
     Output,
     Positive,
@@ -18,6 +19,7 @@ from tau_dyn.cli.arguments import (
     Strings,
     Whole,
     build_destination,
+    describe_robot_or_model,
     read_columns,
 )
 from tau_dyn.cli.execute import Outcome
@@ -341,4 +343,48 @@ def observe(
         files={out: found.to_csv()} if out else {},
         named={"tool": out},
         found=found,
+    )  # fmt: skip
+
+
+def share_forces(
+    model: Annotated[str, describe_robot_or_model("with more drives than freedoms")],
+    /,
+    *,
+    motion: Annotated[Path, Parameter(metavar="MOTION.csv")],
+    preload: Annotated[Finites, Parameter(metavar="P")] = (),
+    width: Annotated[Positive, Parameter(metavar="V")] = 0.01,
+    out: Annotated[Path, build_destination("FORCES.csv", "Write t and tau_ff_J of all drives here", csv=True)],
+    robot_options: RobotOptions = RobotOptions(),
+    output: Output = Output(),
+) -> Outcome:
+    """Forces of double motors and other redundant drives along a motion, with a preload that keeps gears free of backlash.
+
+    Args:
+        motion: The motion of the actuated joints, from plan-motion, excite or simulate
+        preload: Preload of each redundant drive [N or N m] (default: a tenth above the smallest without backlash)
+        width: Speed within which the sign of friction is smoothed [m/s or rad/s]
+    """
+    with show_progress(output.quiet) as step:
+        step("loading")
+        from tau_dyn.control import share_drive_forces
+        from tau_dyn.simulate import Trajectory
+
+        loaded = robot_options.load_model(model)
+        wanted = Trajectory.from_csv(str(motion), loaded.robot.actuated)
+        found = share_drive_forces(loaded, wanted, preload, width=width)
+    rows = found.to_rows()
+    return Outcome(
+        result={
+            "drives": to_plain(rows), "preload": to_plain(found.preload), "smallest_preload": to_plain(found.smallest),
+            "out": str(out),
+        },
+        warnings=[*loaded.robot.warnings, *found.warnings],
+        inputs=[motion, *robot_options.list_files(model)],
+        lines=[
+            f"{row['joint']}: at most {row['force_max']:.4g} {row['unit']} of {row['force_limit']:.4g}, preload "
+            f"{row['preload']:.4g}"
+            for row in rows
+        ] + [f"smallest preload without backlash {abs(found.smallest).max():.4g} {found.units[-1]} -> {out}"],
+        files={out: found.to_csv()},
+        named={"forces": out},
     )  # fmt: skip
