@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from raising import raises_code
 
 from tau_dyn.cli import main
-from tau_dyn.control import share_drive_forces
+from tau_dyn.control import compute_drive_forces
 from tau_dyn.identify import build_model
 from tau_dyn.log import differentiate
 from tau_dyn.message_codes import get_code
@@ -46,7 +46,7 @@ def stroke(cart) -> Trajectory:
 
 def test_two_motors_share_half_each_and_carry_their_own_friction(cart, stroke) -> None:
     """Without preload each pinion has half of `m a`; a motor's friction is at that motor alone."""
-    found = share_drive_forces(cart, stroke, [0.0])
+    found = compute_drive_forces(cart, stroke, [0.0])
     half = MASS * stroke.a[:, 0] / 2
     assert_allclose(found.shared, np.column_stack([half, half]), atol=1e-9)
     fast = np.abs(stroke.v[:, 0]) > 0.01
@@ -58,12 +58,12 @@ def test_two_motors_share_half_each_and_carry_their_own_friction(cart, stroke) -
 def test_the_smallest_preload_is_half_of_the_largest_inertial_force(cart, stroke) -> None:
     """Pinions stay on their flanks from `p = max |m a| / 2` on; just below one of them is relieved, and a code names it."""
     half = MASS * np.abs(stroke.a[:, 0]).max() / 2
-    chosen = share_drive_forces(cart, stroke)
+    chosen = compute_drive_forces(cart, stroke)
     assert_allclose(chosen.smallest, [half], rtol=1e-9)
     assert chosen.warnings == () and chosen.preload[0] == pytest.approx(1.1 * half)
     assert_allclose(chosen.inside, np.array([[-1.0, 1.0]]) * chosen.preload[0] * np.ones((len(stroke.t), 1)))
-    assert not share_drive_forces(cart, stroke, [1.001 * half]).relieved.any()
-    low = share_drive_forces(cart, stroke, [-0.99 * half])
+    assert not compute_drive_forces(cart, stroke, [1.001 * half]).relieved.any()
+    low = compute_drive_forces(cart, stroke, [-0.99 * half])
     assert low.relieved.any() and {get_code(w) for w in low.warnings} == {"preload_low"}
 
 
@@ -74,7 +74,7 @@ def test_shares_of_three_arms_move_them_as_dalembert_says() -> None:
     moved = redundant.move_three_arms(t)
     index = [redundant.ARMS.index(joint) for joint in robot.actuated]
     motion = build_motion(robot.actuated, t, moved.q[:, index], moved.v[:, index])
-    found = share_drive_forces(Model.of(robot, []), motion, [4.0])
+    found = compute_drive_forces(Model.of(robot, []), motion, [4.0])
     order = [redundant.ARMS.index(joint) for joint in found.joints]
     inside = slice(10, -10)
     assert_allclose(found.shared[inside], moved.tau[inside][:, order], atol=2e-3)
@@ -85,12 +85,12 @@ def test_shares_of_three_arms_move_them_as_dalembert_says() -> None:
 def test_limits_and_robots_without_double_motors_are_named(cart, stroke) -> None:
     """A preload beyond the motor's 200 N is status 3; a robot with one motor a joint has nothing to share."""
     with raises_code("no_solution", "rail", "200"):
-        share_drive_forces(cart, stroke, [400.0])
+        compute_drive_forces(cart, stroke, [400.0])
     with raises_code("bad_option"):
-        share_drive_forces(cart, stroke, [1.0, 2.0])
+        compute_drive_forces(cart, stroke, [1.0, 2.0])
     plain = Model.of(load_robot("linear_axis"), [])
     with raises_code("unsupported"):
-        share_drive_forces(plain, Trajectory(("axis",), stroke.t, stroke.q, stroke.v, stroke.a, "motion"))
+        compute_drive_forces(plain, Trajectory(("axis",), stroke.t, stroke.q, stroke.v, stroke.a, "motion"))
 
 
 def test_the_command_writes_what_each_motor_gets(tmp_path, stroke, capsys) -> None:
@@ -114,3 +114,12 @@ def test_the_command_writes_what_each_motor_gets(tmp_path, stroke, capsys) -> No
     assert found["preload"][0] == pytest.approx(1.1 * found["smallest_preload"][0])
     assert "rail2" in capsys.readouterr().out
     assert main([*command, "--preload", "400"]) == 3 and main([*command, "--preload", "1", "2"]) == 2
+
+
+def test_code_of_a_generalised_force_names_the_drives_that_share_it(tmp_path) -> None:
+    """The C function of a cart with two motors returns the force of both, so the export carries `redundant_drives`."""
+    (tmp_path / "cart.urdf").write_text(redundant.write_cart())
+    result = tmp_path / "r.json"
+    command = ["feedforward", "export", str(tmp_path / "cart.urdf"), "--to", "c", "--out", str(tmp_path / "f.c")]
+    assert main([*command, "--json", str(result), "--quiet"]) == 0
+    assert json.loads(result.read_text())["warning_codes"] == ["redundant_drives"]

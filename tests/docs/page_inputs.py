@@ -69,12 +69,12 @@ def write_poses() -> None:
     """Write measured poses of a Gantry-Tau with a rod 3 mm too long, and positions that a controller computed."""
     built = load_robot("gantry_tau", **{"simplified.arms.1.rods.1.length": 2.053})
     robot, rng = load_robot("gantry_tau"), np.random.default_rng(1)
-    q = robot.home + rng.uniform(-0.3, 0.3, (24, 3))
-    place = forward_kinematics(built, q).poses.position + 1e-5 * rng.standard_normal((24, 3))
     joints = [f"q_{joint}" for joint in robot.actuated]
-    pd.DataFrame(np.hstack([q, place]), columns=[*joints, "x_tool", "y_tool", "z_tool"]).to_csv(
-        "poses.csv", index=False
-    )
+    for name in ("verify.csv", "poses.csv"):
+        q = robot.home + rng.uniform(-0.3, 0.3, (24, 3))
+        place = forward_kinematics(built, q).poses.position + 1e-5 * rng.standard_normal((24, 3))
+        table = pd.DataFrame(np.hstack([q, place]), columns=[*joints, "x_tool", "y_tool", "z_tool"])
+        table.to_csv(name, index=False)
     pd.DataFrame(q[:5] * 0.9 + 0.1 * robot.home, columns=joints).to_csv("wanted.csv", index=False)
 
 

@@ -64,7 +64,7 @@ COMMANDS: dict[str, Callable[..., Outcome]] = {
     "plan-poses": plan.plan_poses,
     "plan-motion": plan.plan_motion,
     "feedforward export": export.export_feedforward,
-    "feedforward share": control.share_forces,
+    "feedforward share": control.compute_shared_forces,
     "export": export.export,
     "actuators": control.actuators,
     "learn": control.learn,

@@ -346,7 +346,7 @@ def observe(
     )  # fmt: skip
 
 
-def share_forces(
+def compute_shared_forces(
     model: Annotated[str, describe_robot_or_model("with more drives than freedoms")],
     /,
     *,
@@ -366,12 +366,12 @@ def share_forces(
     """
     with show_progress(output.quiet) as step:
         step("loading")
-        from tau_dyn.control import share_drive_forces
+        from tau_dyn.control import compute_drive_forces
         from tau_dyn.simulate import Trajectory
 
         loaded = robot_options.load_model(model)
         wanted = Trajectory.from_csv(str(motion), loaded.robot.actuated)
-        found = share_drive_forces(loaded, wanted, preload, width=width)
+        found = compute_drive_forces(loaded, wanted, preload, width=width)
     rows = found.to_rows()
     return Outcome(
         result={

@@ -107,7 +107,7 @@ class DriveForces:
         return pd.DataFrame(columns).to_csv(index=False, float_format="%.12g", lineterminator="\n")
 
 
-def share_drive_forces(
+def compute_drive_forces(
     model: Model, motion: Trajectory, preload: Sequence[float] = (), *, width: float = 0.01
 ) -> DriveForces:
     """Return the forces of all drives along a motion.
