@@ -229,6 +229,10 @@ WARNING_CODES: dict[str, MessageCode] = {
         "simulated joints of a servo robot push each other without end", "check gains, delays and inertias in the files"
     ),
     "outside_training": MessageCode("held-out logs accelerate more than the training's", "train on faster motions"),
+    "track_undersampled": MessageCode(
+        "`observe --camera`: images differ from their neighbours by more than their corners explain",
+        "more images a second, or a slower motion",
+    ),
     "unsigned_load": MessageCode("a load channel has no sign", "do not map it to torque"),
     "column_missing": MessageCode("`columns`: no clock or torque", "add it to the map"),
     "column_unsure": MessageCode("`columns`: perhaps another signal or joint", "check the map"),

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 _COLUMNS = Group("Columns, by name")
 _LAW = Group("How an error becomes a correction")
 _TOOL = Group("Learning the tool")
-_FILTER = Group("Filter: one of both")
+_FILTER = Group("What sees the tool: one of the three")
 _AXES = ("x", "y", "z")
 
 
@@ -279,10 +279,11 @@ def observe(
     robot: str | None = None,
     /,
     *,
-    acceleration: Annotated[Strings, Parameter(group=_COLUMNS, metavar="COLUMN")],
+    acceleration: Annotated[Strings, Parameter(group=_COLUMNS, metavar="COLUMN")] = (),
     kinematic: Annotated[Strings, Parameter(group=_COLUMNS, metavar="COLUMN")] = (),
     model: Annotated[Path | None, Parameter(group=_FILTER, metavar="MODEL.yaml")] = None,
     cutoff: Annotated[Positives | None, Parameter(group=_FILTER, metavar="HZ")] = None,
+    camera: Annotated[Path | None, Parameter(group=_FILTER, metavar="POSES.csv")] = None,
     columns: ColumnMapFile = None,
     out: Annotated[
         Path | None,
@@ -291,7 +292,7 @@ def observe(
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
 ) -> Outcome:
-    """Tool position from the actuators and an accelerometer on the tool, with 95 % intervals.
+    """Tool position from the actuators and an accelerometer or a camera that tracks it, with 95 % intervals.
 
     Args:
         log: CSV, Parquet, MCAP, a ROS bag or .mat, from rest to rest
@@ -300,11 +301,18 @@ def observe(
         kinematic: Tool position along x, y, z, computed from the actuators [m]
         model: Kalman filter: model from computed to true tool positions, as modes --out writes it
         cutoff: Complementary filter: cutoff frequency, one value or one per axis
+        camera: Poses that see --times measured during LOG, with its times; needs ROBOT, and no accelerometer
     """
     import numpy as np
 
-    if (model is None) == (cutoff is None):
-        raise InputError("bad_option", "observe takes either --model MODEL.yaml or --cutoff HZ")
+    if (model is not None) + (cutoff is not None) + (camera is not None) != 1:
+        raise InputError("bad_option", "observe takes either --model MODEL.yaml or --cutoff HZ, or --camera POSES.csv")
+    if camera is not None:
+        return _observe_by_camera(
+            log, robot, camera, bool(acceleration or kinematic), columns, out, robot_options, output
+        )
+    if not acceleration:
+        raise InputError("bad_option", "observe needs --acceleration COLUMN.., along x, y, z, or --camera POSES.csv")
     if bool(kinematic) == (robot is not None):
         raise InputError("bad_option", "the tool's position from the actuators comes from either ROBOT or --kinematic")
     with show_progress(output.quiet) as step:
@@ -344,6 +352,37 @@ def observe(
         named={"tool": out},
         found=found,
     )  # fmt: skip
+
+
+def _observe_by_camera(
+    log: str, robot: str | None, camera: Path, more: bool, columns: Path | None, out: Path | None, options: RobotOptions,
+    output: Output,
+) -> Outcome:  # fmt: skip
+    """Return the outcome of observe --camera."""
+    if robot is None or more:
+        raise InputError("bad_option", "--camera takes ROBOT, and neither --acceleration nor --kinematic")
+    with show_progress(output.quiet) as step:
+        step("loading")
+        from tau_dyn.control.observers import CameraTrack, observe_by_camera
+        from tau_dyn.kinematics import pick_columns
+        from tau_dyn.log import read_log
+        from tau_dyn.mechanism import forward_kinematics
+
+        read, machine, table = read_log(log, columns), options.load(robot), read_columns(camera)
+        names = [f"{axis}_tool" for axis in _AXES]
+        rows = pick_columns(table, ["t", *names, *(f"{name}_stderr" for name in names)], str(camera))
+        track = CameraTrack.of(rows[:, 0], rows[:, 1:4], rows[:, 4:], str(camera))
+        poses = forward_kinematics(machine, read.joint("q", machine.actuated)).poses
+        step("tracking")
+        found = observe_by_camera(names, read.t, poses, track)
+    return Outcome(
+        result={"axes": to_plain(found.to_rows()), "filter": found.how, "frequency_scale": None},
+        warnings=[*read.warnings, *found.warnings],
+        inputs=[(log, read.sha256), camera, *([columns] if columns else []), *options.list_files(robot)],
+        files={out: found.to_csv()} if out else {},
+        named={"tool": out},
+        found=found,
+    )
 
 
 def compute_shared_forces(
