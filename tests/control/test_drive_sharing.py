@@ -78,6 +78,12 @@ def test_shares_of_three_arms_move_them_as_dalembert_says() -> None:
     order = [redundant.ARMS.index(joint) for joint in found.joints]
     inside = slice(10, -10)
     assert_allclose(found.shared[inside], moved.tau[inside][:, order], atol=2e-3)
+    least = compute_drive_forces(Model.of(robot, []), motion, [1.0])
+    turning = np.ptp(np.sign(least.inside), axis=0) > 0
+    assert turning.any() and not least.held[turning].any()  # no constant preload keeps that arm on one flank
+    assert {get_code(w) for w in least.warnings} == {"preload_low"}
+    enough, low = (compute_drive_forces(Model.of(robot, []), motion, k * least.smallest) for k in (1.001, 0.99))
+    assert not enough.relieved.any() and low.relieved.any()
     power = np.sum(found.inside * moved.v[:, order], axis=1)
     assert np.abs(power).max() < 1e-6 and np.abs(found.inside).max() >= 4.0
 

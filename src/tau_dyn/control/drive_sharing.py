@@ -8,6 +8,7 @@ with the smallest sum of squared shares of the force limits L is taken, plus a p
 Two motors on one cart that push against each other by p keep their pinions on opposite flanks, so the cart has no backlash
 (thesis 2.3, 4.2). A pinion changes its flank where its force without its own friction, shared part plus preload, has another sign
 than its preload. The smallest preload of a motion that avoids this is `max |shared part|` over the drives that are relieved.
+A drive on which N changes its sign along the motion, as in mechanisms that turn, is kept on its flank by no constant preload.
 Reference: Mueller 2005, on internal preload of redundantly actuated robots.
 """
 
@@ -34,6 +35,7 @@ from tau_dyn.message_codes import CodedWarning
 from tau_dyn.model import Model
 from tau_dyn.simulate import Trajectory
 
+_LEAST_SHARE = 0.1  # of a preload's largest force at a drive, below which it turns around there
 _RESERVE = 0.1  # of the smallest preload, that a chosen one has in addition
 
 
@@ -70,14 +72,29 @@ class DriveForces:
 
     @property
     def relieved(self) -> np.ndarray:
-        """Whether a preloaded drive pushes against its preload's direction (N, n)."""
-        return (self.shared + self.inside) * np.sign(self.inside) < 0
+        """Whether a drive that a preload can keep on its flank pushes against the preload's direction (N, n)."""
+        return self.held & ((self.shared + self.inside) * np.sign(self.inside) < 0)
+
+    @property
+    def held(self) -> np.ndarray:
+        """Whether the preload acts on a drive in one direction throughout (n,)."""
+        return find_held_drives(self.inside)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Drives that change their flank."""
         share = self.relieved.mean(axis=0)
-        return tuple(
+        turning = tuple(
+            CodedWarning(
+                "preload_low",
+                f"{joint}: the preload's force changes its direction there along the motion, so none keeps "
+                "its gear on one flank",
+                (joint,),
+            )
+            for joint, held, x in zip(self.joints, self.held, np.abs(self.inside).max(axis=0), strict=True)
+            if not held and x > 0
+        )
+        return turning + tuple(
             CodedWarning(
                 "preload_low",
                 f"{joint}: its force turns against its preload in {100 * x:.2g} % of the motion, so its gear passes backlash; "
@@ -172,9 +189,15 @@ def _share(rigid: np.ndarray, rates: np.ndarray, limit: np.ndarray) -> np.ndarra
     return np.einsum("nkj,nj->nk", WB, np.linalg.solve(B.transpose(0, 2, 1) @ WB, rigid[:, :, None])[:, :, 0])
 
 
+def find_held_drives(inside: np.ndarray) -> np.ndarray:
+    """Return the drives (n,) on which forces of a preload (N, n) act in one direction and never become small."""
+    size = np.abs(inside)
+    return (size.min(axis=0) > _LEAST_SHARE * size.max(axis=0)) & (np.abs(np.sign(inside).sum(axis=0)) == len(inside))
+
+
 def _scale_smallest(shared: np.ndarray, inside: np.ndarray) -> float:
     """Return the factor of preload forces (N, n) from which on no drive is relieved of them."""
-    pushes = np.abs(inside) > 1e-9 * np.abs(inside).max(initial=1e-300)
+    pushes = find_held_drives(inside) & (inside != 0)
     against = np.where(pushes, -shared * np.sign(inside), 0.0)
     return float(np.max(against / np.where(pushes, np.abs(inside), 1.0), initial=0.0))
 

@@ -64,6 +64,20 @@ def test_a_sway_faster_than_the_images_is_named_and_widens_the_intervals() -> No
     assert cover(found, true)[0] > 0.9
 
 
+def test_the_depth_of_a_camera_is_the_direction_it_is_known_worst() -> None:
+    """A camera that looks along the base's y, after a quarter turn about x, knows y ten times worse than x and z."""
+    t, poses, true, _ = run(2, sway_hz=0.0)
+    rng, moments = np.random.default_rng(5), 3.0 + np.arange(240) / IMAGE_HZ
+    at = np.column_stack([np.interp(moments, t, x) for x in true.T])
+    stderr = np.tile([NOISE, 0.1 * NOISE, NOISE], (240, 1))
+    stderr[:, 2] *= 10
+    looking = Rotation.from_euler("zx", [0.4, -np.pi / 2])
+    seen = looking.inv().apply(at) + stderr * rng.standard_normal((240, 3))
+    found = observe_by_camera(AXES, t, poses, CameraTrack.of(moments, seen, stderr, "poses.csv"))
+    expected = np.sqrt((looking.as_matrix() ** 2) @ stderr[0] ** 2)
+    assert np.all(np.abs(found.stderr / expected - 1) < 0.15)
+
+
 def test_a_straight_line_does_not_show_the_camera() -> None:
     """Turning the camera about the line of motion changes nothing that it sees: status 3; so do gaps and few images."""
     t, poses, _, track = run(0, sway_hz=0.0, straight=True)
