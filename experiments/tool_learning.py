@@ -4,7 +4,8 @@
 
 The 10 mm square. Every trial is a CSV; `learn` reads the trials of its case and writes the next correction: of the drives (case
 1), or of the tool that `observe` estimates with a complementary filter (2A) or a Kalman filter (2B), or that gauges measure (3).
-The Kalman filter's model comes from `modes` on a log of binary sequences. Out, in OUT_DIR (default out/tool_learning): a page a
+The Kalman filter's model, and that of the resonances which the tool's cases invert, come from `modes` on a log of binary
+sequences. Out, in OUT_DIR (default out/tool_learning): a page a
 case, `cases.csv`, and the figure. (7.28) is that of the thesis' law, by `learn --gain 0.9 --shift 5 --cutoff 10`; where `learn`
 chooses, the largest growth that its trials do not exclude is next to it. Ten minutes on one core. Needs matplotlib.
 """
@@ -64,8 +65,8 @@ def write_log(path: Path, run: Run, k: int, sent: np.ndarray) -> Path:
     return path
 
 
-def identify_tool(plant: FlexibleL1, home: np.ndarray, folder: Path) -> Path:
-    """Return the model from computed to true tool positions, (6.13), that `modes` finds."""
+def identify_tool(plant: FlexibleL1, home: np.ndarray, folder: Path) -> tuple[Path, Path]:
+    """Return models that `modes` finds: from computed to true tool, (6.13), and from commanded to true tool, (6.12)."""
     n, bits = 10_000, 2.0 * max_len_seq(12)[0] - 1
     tool = np.tile(home, (n, 1))
     for k in range(2):
@@ -75,35 +76,30 @@ def identify_tool(plant: FlexibleL1, home: np.ndarray, folder: Path) -> Path:
     run = plant.run(sent[:, None, :], 9_999)
     seen = forward_kinematics(ROBOT, run.q[:, 0]).poses.position
     columns = {"t": np.arange(n) * DT} | {f"{a}_c": seen[:, i] for i, a in enumerate(AXES)}
+    columns |= {f"{a}_ref": tool[:, i] for i, a in enumerate(AXES)}
     columns |= {f"{a}_gauge": run.tool[:, 0, i] for i, a in enumerate(AXES)}
     pd.DataFrame(columns).to_csv(folder / "excited.csv", index=False)
-    out = folder / "tool_model.yaml"
-    inputs, outputs = [f"{a}_c" for a in AXES], [f"{a}_gauge" for a in AXES]
-    call(
-        "modes",
-        folder / "excited.csv",
-        "--inputs",
-        *inputs,
-        "--outputs",
-        *outputs,
-        "--order",
-        "6",
-        "--out",
-        out,
-        "--quiet",
-    )
-    return out
+    found = []
+    for name, order in (("c", "6"), ("ref", "8")):
+        out = folder / f"from_{name}.yaml"
+        inputs, outputs = [f"{a}_{name}" for a in AXES], [f"{a}_gauge" for a in AXES]
+        words = ["modes", folder / "excited.csv", "--inputs", *inputs, "--outputs", *outputs, "--order", order]
+        call(*words, "--out", out, "--quiet")
+        found.append(out)
+    return found[0], found[1]
 
 
-def learn_case(case: str, folder: Path, reference: Path, logs: list[Path], model: Path) -> tuple[Path, dict]:
+def learn_case(
+    case: str, folder: Path, reference: Path, logs: list[Path], models: tuple[Path, Path]
+) -> tuple[Path, dict]:
     """Return the correction after the trials of a case, and the result."""
     out, result = folder / f"correction_{case}.csv", folder / f"case_{case}.json"
     words: list[object] = ["learn", reference, "--history", *logs, "--lead", LEAD, "--out", out, "--json", result]
     words += ["--report", folder / f"case_{case}.html", "--quiet"]
     if case != "1":
-        words += ["--robot", "gantry_tau", "--measured", "x_tool", "y_tool"]
+        words += ["--robot", "gantry_tau", "--measured", "x_tool", "y_tool", "--model", models[1]]
     if case in ("2A", "2B"):
-        words += ["--observed", *(observe(case, log, model) for log in logs)]
+        words += ["--observed", *(observe(case, log, models[0]) for log in logs)]
     call(*words)
     return out, json.loads(result.read_text())
 
@@ -134,7 +130,7 @@ def study(folder: Path, seed: int, trials: int) -> tuple[pd.DataFrame, np.ndarra
     reference = folder / "reference.csv"
     motion = Trajectory.through(ROBOT.actuated, np.arange(N) * DT, q)
     write_reference(reference, Model.of(ROBOT, []), motion)
-    model = identify_tool(plant, home, folder)
+    models = identify_tool(plant, home, folder)
     sent = np.repeat(q[:, None, :], len(CASES), axis=1)
     logs: dict[str, list[Path]] = {case: [] for case in CASES}
     errors, found = [], {}
@@ -143,7 +139,7 @@ def study(folder: Path, seed: int, trials: int) -> tuple[pd.DataFrame, np.ndarra
         errors.append(tool[:, None, :2] - run.true_tool[..., :2])
         for k, case in enumerate(CASES):
             logs[case].append(write_log(folder / f"case_{case}_{trial}.csv", run, k, sent[:, k]))
-            correction, found[case] = learn_case(case, folder, reference, logs[case], model)
+            correction, found[case] = learn_case(case, folder, reference, logs[case], models)
             sent[:, k] = q + read_correction(correction, ROBOT.actuated, period=DT).dq
         print(trial, (1e6 * rms(errors[-1])).round(1).tolist(), flush=True)
     table = tabulate(np.array(errors), found, judge_thesis_law(folder, reference, logs["1"][0]))

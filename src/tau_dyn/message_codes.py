@@ -167,6 +167,18 @@ WARNING_CODES: dict[str, MessageCode] = {
     "prediction_missed": MessageCode(
         "a trial of `learn` ended above its predicted interval", "the sentence names the change"
     ),
+    "model_contradicted": MessageCode(
+        "`learn`, `observe`: the log contradicts the model that was given", "identify the model again"
+    ),
+    "near_limit": MessageCode(
+        "a gain is close to its stability limit, or a motion exceeds a limit between the places checked",
+        "a lower gain; a margin, or more nodes",
+    ),
+    "not_corrected": MessageCode("positions cannot be compensated", "the reason is in their row"),
+    "preload_low": MessageCode(
+        "`feedforward share`: a preloaded drive changes its flank, so the gear passes its backlash",
+        "the preload in the sentence, or a slower motion",
+    ),
     "path_deviates": MessageCode("a RAPID program leaves its motion", "move slower, or send a reference"),
     "poses_reread": MessageCode(
         "a pose file follows another convention than documented: sign, zero, order, unit, orientation or rows",
@@ -217,6 +229,10 @@ WARNING_CODES: dict[str, MessageCode] = {
         "simulated joints of a servo robot push each other without end", "check gains, delays and inertias in the files"
     ),
     "outside_training": MessageCode("held-out logs accelerate more than the training's", "train on faster motions"),
+    "track_undersampled": MessageCode(
+        "`observe --camera`: images differ from their neighbours by more than their corners explain",
+        "more images a second, or a slower motion",
+    ),
     "unsigned_load": MessageCode("a load channel has no sign", "do not map it to torque"),
     "column_missing": MessageCode("`columns`: no clock or torque", "add it to the map"),
     "column_unsure": MessageCode("`columns`: perhaps another signal or joint", "check the map"),

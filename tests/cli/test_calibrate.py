@@ -89,6 +89,7 @@ def test_corrected_positions_put_the_tool_where_the_controller_meant(campaign):
     wanted, corrected = (pd.read_csv(campaign / name) for name in ("wanted.csv", "corrected.csv"))
     names = [f"q_{joint}" for joint in ("cart1", "cart2", "cart3")]
     assert list(corrected["reason"].fillna("")) == ["", "", "cart1 beyond its limit"]
+    assert "not_corrected" in json.loads((campaign / "r.json").read_text())["warning_codes"]
     wanted, corrected = wanted[:2], corrected[:2]
     meant = forward_kinematics(load_robot("gantry_tau"), wanted[names].to_numpy()).poses.position
     reached = load_calibration(campaign / "m.yaml").forward(corrected[names].to_numpy()).poses.position

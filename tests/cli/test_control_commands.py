@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 
 from tau_dyn.cli import main
 from tau_dyn.control import read_correction, read_reference, write_reference
@@ -135,6 +136,48 @@ def test_the_last_trial_with_its_correction_is_the_last_of_a_history(folder) -> 
         assert main([*base, *way, "--out", str(folder / name), "--quiet"]) == 0
     one, other = (read_correction(folder / name, ROBOT.actuated).dq for name in ways)
     np.testing.assert_allclose(one, other, atol=1e-9)
+
+
+def test_a_model_of_modes_lets_a_resonance_be_learnt(tmp_path, capsys) -> None:
+    """A drive that swings at 3 Hz: `modes` on a binary sequence, `learn --model` on two trials, a fifth is left."""
+    A, B = spring(2 * np.pi * 3.0)
+
+    def run(command: np.ndarray, name: str) -> float:
+        q, x = np.empty(len(command)), np.zeros(2)
+        for k, u in enumerate(command):
+            q[k], x = x[0], A @ x + B * u
+        q = q + 1e-6 * np.random.default_rng(0).standard_normal(len(q))
+        table = {"t": np.arange(len(q)) * DT, "q_ref_axis": command, "q_axis": q}
+        pd.DataFrame(table).to_csv(tmp_path / name, index=False)
+        return float(np.std(command - q))
+
+    run(0.01 * np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 150), 10), "noise.csv")
+    t = np.arange(700) * DT
+    wanted = 0.02 * (1 - np.cos(np.pi * np.clip((t - 0.7) / 0.6, 0, 1)))
+    pd.DataFrame({"t": t, "q_ref_axis": wanted}).to_csv(tmp_path / "ref.csv", index=False)
+    model, correction = tmp_path / "m.yaml", tmp_path / "c.csv"
+    command = ["modes", str(tmp_path / "noise.csv"), "--inputs", "q_ref_axis", "--outputs", "q_axis", "--order", "2"]
+    assert main([*command, "--out", str(model), "--quiet"]) == 0
+    errors, trials, sent = [], [], wanted
+    for name in ("t1.csv", "t2.csv", "t3.csv"):
+        run(sent, name)
+        errors.append(float(np.std(wanted - pd.read_csv(tmp_path / name)["q_axis"])))
+        trials.append(str(tmp_path / name))
+        step = [
+            "learn",
+            str(tmp_path / "ref.csv"),
+            "--history",
+            *trials,
+            "--model",
+            str(model),
+            "--out",
+            str(correction),
+        ]
+        assert main([*step, "--json", str(tmp_path / "r.json")]) == 0
+        sent = wanted + pd.read_csv(correction, comment="#")["dq_axis"].to_numpy()
+    assert errors[2] < 0.2 * errors[0] and "inverse of the model" in capsys.readouterr().out
+    assert json.loads((tmp_path / "r.json").read_text())["joints"][0]["inverts"]
+    assert main([*step, "--actuators", str(model)]) == 2 and "not both" in capsys.readouterr().err
 
 
 def test_a_history_without_commands_or_of_another_motion_is_refused(folder, capsys) -> None:
@@ -271,3 +314,30 @@ def test_a_poor_fit_of_an_actuator_carries_a_code(tmp_path) -> None:
     result = json.loads((tmp_path / "r.json").read_text())
     assert result["axes"][0]["fit_percent"] < 80
     assert result["warning_codes"] == ["poor_fit"] and result["warning_joints"] == {"poor_fit": ["axis"]}
+
+
+def test_the_force_loop_takes_the_slow_ends_of_measured_delays(tmp_path) -> None:
+    """A delay of 9 +- 2 ms may be 12.9 ms, so four samples lie in the loop; a poor fit is named where the file is read."""
+    axis = {
+        "axis": "z",
+        "gain": 1.0,
+        "time_constant": 0.002,
+        "delay": 0.009,
+        "delay_stderr": 0.002,
+        "fit_percent": 70.0,
+    }
+    drives, out = tmp_path / "a.yaml", tmp_path / "r.json"
+    drives.write_text(yaml.safe_dump({"tau_dyn_actuators": 1, "axes": [axis]}))
+    command = ["lead-through", "--stiffness", "5e4", "--damping", "200", "--actuators", str(drives), "--json", str(out)]
+    assert main([*command, "--quiet"]) == 0
+    result = json.loads(out.read_text())
+    found = {row["name"]: row["value"] for row in result["settings"]}
+    assert found["delay"] == 4 and result["warning_codes"] == ["poor_fit"]
+    assert found["force_gain_limit"] == pytest.approx(ForceLoop(0.004, 1 / (2 * np.pi * 0.002), 4).limit(5e4).gain)
+
+
+def test_a_gain_near_oscillation_carries_a_code(tmp_path) -> None:
+    """At 80 % of the stability limit a force loop is stable and rings: status 0 with the code `near_limit`."""
+    gain, out = 0.8 * ForceLoop().limit(5e4).gain, tmp_path / "r.json"
+    assert main(["lead-through", "--stiffness", "5e4", "--gain", f"{gain:.6g}", "--json", str(out), "--quiet"]) == 0
+    assert json.loads(out.read_text())["warning_codes"] == ["near_limit"]

@@ -69,13 +69,25 @@ def write_poses() -> None:
     """Write measured poses of a Gantry-Tau with a rod 3 mm too long, and positions that a controller computed."""
     built = load_robot("gantry_tau", **{"simplified.arms.1.rods.1.length": 2.053})
     robot, rng = load_robot("gantry_tau"), np.random.default_rng(1)
-    q = robot.home + rng.uniform(-0.3, 0.3, (24, 3))
-    place = forward_kinematics(built, q).poses.position + 1e-5 * rng.standard_normal((24, 3))
     joints = [f"q_{joint}" for joint in robot.actuated]
-    pd.DataFrame(np.hstack([q, place]), columns=[*joints, "x_tool", "y_tool", "z_tool"]).to_csv(
-        "poses.csv", index=False
-    )
+    for name in ("verify.csv", "poses.csv"):
+        q = robot.home + rng.uniform(-0.3, 0.3, (24, 3))
+        place = forward_kinematics(built, q).poses.position + 1e-5 * rng.standard_normal((24, 3))
+        table = pd.DataFrame(np.hstack([q, place]), columns=[*joints, "x_tool", "y_tool", "z_tool"])
+        table.to_csv(name, index=False)
     pd.DataFrame(q[:5] * 0.9 + 0.1 * robot.home, columns=joints).to_csv("wanted.csv", index=False)
+
+
+def write_track() -> None:
+    """Write the tool of `monday.csv` as a camera 2 m away sees it, 50 images a second."""
+    log, robot = pd.read_csv("monday.csv"), load_robot("gantry_tau")
+    rows = log.iloc[::2]
+    q = rows[[f"q_{joint}" for joint in robot.actuated]].to_numpy()
+    place = Rotation.from_euler("xyz", [1.5, 0.2, 0.1]).apply(forward_kinematics(robot, q).poses.position) + [0, 0, 2.0]
+    names = ["x_tool", "y_tool", "z_tool"]
+    table = pd.DataFrame(place + 2e-5 * np.random.default_rng(3).standard_normal(place.shape), columns=names)
+    table.insert(0, "t", rows["t"].to_numpy())
+    table.assign(**{f"{name}_stderr": 2e-5 for name in names}).to_csv("track.csv", index=False)
 
 
 def swing(drive: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
@@ -186,6 +198,7 @@ def write_inputs() -> None:
     """Write all files."""
     write_logs()
     write_poses()
+    write_track()
     write_trials()
     write_drives()
     write_guideways()

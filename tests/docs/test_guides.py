@@ -90,7 +90,21 @@ for log, result in (("monday.csv", "before.json"), ("tuesday.csv", "after.json")
     "docs/how_to/excitation.md": Guide(
         {"ROBOT": "linear_axis", "MOTION.csv": "motion.csv"}, {"tau-dyn excite": "--duration 5 --trials 2 --time 5"}
     ),
-    "docs/how_to/feedforward.md": Guide(GANTRY),
+    "docs/how_to/feedforward.md": Guide(
+        GANTRY | {"CART.urdf": "cart.urdf", "MOTION.csv": "cart.csv"},
+        python="""
+import sys
+from pathlib import Path
+import numpy as np
+import pandas as pd
+from page_blocks import ROOT
+sys.path.insert(0, str(ROOT / "tests"))
+import redundant
+Path("cart.urdf").write_text(redundant.write_cart())
+moved = redundant.move_cart(np.arange(0, 2, 0.004))
+pd.DataFrame({"t": moved.t, "q_ref_rail1": moved.q[:, 0]}).to_csv("cart.csv", index=False)
+""",
+    ),
     "docs/how_to/kinematics.md": Guide(
         {"ROBOT": "gantry_tau", "POSES.csv": "poses.csv", "POSITIONS.csv": "found.csv", "X Y Z W": "0 0 0 1"}
     ),

@@ -64,6 +64,7 @@ COMMANDS: dict[str, Callable[..., Outcome]] = {
     "plan-poses": plan.plan_poses,
     "plan-motion": plan.plan_motion,
     "feedforward export": export.export_feedforward,
+    "feedforward share": control.compute_shared_forces,
     "export": export.export,
     "actuators": control.actuators,
     "learn": control.learn,
@@ -126,12 +127,13 @@ def build_app(first: str = "") -> App:
     )
     feedforward = App(
         name="feedforward",
-        help="Tau_ff(q, v, a) for a controller, in C or Python",
+        help="Forces for a controller: tau_ff(q, v, a) as code; shares of double motors along a motion",
         sort_key=list(COMMANDS).index("feedforward export"),
     )
     app.command(feedforward)
     for words, function in ((words, COMMANDS[words]) for words in COMMANDS if words in named):
-        owner, name = (feedforward, "export") if words.startswith("feedforward") else (app, words)
+        group, _, last = words.partition(" ")
+        owner, name = (feedforward, last) if group == "feedforward" else (app, words)
         owner.command(function, name=name, sort_key=list(COMMANDS).index(words))
     app.command(print_completion, name="completion")
     return app

@@ -12,6 +12,7 @@ from tau_dyn.cli.execute import Outcome
 from tau_dyn.cli.progress import show_progress
 from tau_dyn.exceptions import InputError
 from tau_dyn.files import compute_sha256
+from tau_dyn.message_codes import CodedWarning
 
 Frames = Annotated[tuple[Literal["device", "tool"], ...], Parameter(consume_multiple=args.SEVERAL, metavar="FRAME")]
 Sigmas = Annotated[tuple[float, ...], Parameter(consume_multiple=args.SEVERAL, metavar="SIGMA")]
@@ -158,6 +159,5 @@ def _correct(found, wanted) -> tuple[str, list[str]]:
     text = table.to_csv(index=False, float_format="%.12g")
     if not len(lost):
         return text, []
-    return text, [
-        f"{len(lost)} of {len(wanted)} positions cannot be corrected; row {lost[0] + 1}: {made.reason[lost[0]]}"
-    ]
+    said = f"{len(lost)} of {len(wanted)} positions cannot be corrected; row {lost[0] + 1}: {made.reason[lost[0]]}"
+    return text, [CodedWarning("not_corrected", said)]

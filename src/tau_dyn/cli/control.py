@@ -1,4 +1,4 @@
-"""`tau-dyn actuators`, `learn` and `observe`."""
+"""`tau-dyn actuators`, `learn`, `observe` and `feedforward share`."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from cyclopts import Group, Parameter
 
 from tau_dyn.cli.arguments import (
     ColumnMapFile,
+    Finites,
     NotNegative,
     Output,
     Positive,
@@ -18,6 +19,7 @@ from tau_dyn.cli.arguments import (
     Strings,
     Whole,
     build_destination,
+    describe_robot_or_model,
     read_columns,
 )
 from tau_dyn.cli.execute import Outcome
@@ -34,7 +36,7 @@ if TYPE_CHECKING:
 _COLUMNS = Group("Columns, by name")
 _LAW = Group("How an error becomes a correction")
 _TOOL = Group("Learning the tool")
-_FILTER = Group("Filter: one of both")
+_FILTER = Group("What sees the tool: one of the three")
 _AXES = ("x", "y", "z")
 
 
@@ -79,6 +81,7 @@ def learn(
     *,
     history: Annotated[Strings, Parameter(metavar="FILE")] = (),
     actuators: Annotated[Path | None, Parameter(metavar="ACTUATORS.yaml")] = None,
+    model: Annotated[Path | None, Parameter(metavar="MODEL.yaml")] = None,
     correction: Annotated[Path | None, Parameter(metavar="FILE.csv")] = None,
     columns: ColumnMapFile = None,
     gain: Annotated[Positive | None, Parameter(group=_LAW, metavar="X")] = None,
@@ -101,6 +104,7 @@ def learn(
         trial: A log with t and q_J, from the motion's first sample on; the last trial
         history: Earlier trials in their order, with their commands as q_ref_J; or all
         actuators: A file of the actuators command (default: estimated from the first trial)
+        model: A model with resonances instead, from commands to positions, as modes --out writes it; its inverse is tried
         correction: The correction that was applied in TRIAL
         gain: Part of the error that one iteration removes (default: chosen)
         shift: Shift of the error forwards in time [samples] (default: chosen)
@@ -116,12 +120,20 @@ def learn(
 
     if trial is None and (not history or correction is not None):
         raise InputError("bad_option", "learn takes a TRIAL, --history FILE..., or both; --correction belongs to TRIAL")
+    if actuators is not None and model is not None:
+        raise InputError("bad_option", "learn takes --actuators or --model, not both")
     if robot is None and (measured or observed):
         raise InputError("bad_option", "--measured and --observed are positions of a tool; name its robot with --robot")
     with show_progress(output.quiet) as step:
         step("loading")
         from tau_dyn.control.interface import Correction, compute_digest, format_correction_text
-        from tau_dyn.control.iterative import LearningOptions, ToolAxes, compute_learning_step, read_actuators
+        from tau_dyn.control.iterative import (
+            LearningOptions,
+            ToolAxes,
+            compute_learning_step,
+            read_resonant_drives,
+            read_saved_actuators,
+        )
         from tau_dyn.simulate import Trajectory
 
         joints = _list_joints(reference)
@@ -147,9 +159,14 @@ def learn(
         for log, command in zip(logs, told, strict=True):
             _require_small(float(np.abs(command - wanted).max()), allowed, f"{log.name}: its correction")
         step("checking convergence")
+        drives, poor = None, ()
+        if actuators is not None:
+            saved = read_saved_actuators(actuators, names)
+            drives, poor = saved.actuators, saved.warnings
+        elif model is not None:
+            drives = read_resonant_drives(model, names, dt)
         found = compute_learning_step(
-            names, dt, wanted, told, seen, None if actuators is None else read_actuators(actuators, names),
-            LearningOptions(gain, shift, cutoff, lead, not not_monotone),
+            names, dt, wanted, told, seen, drives, LearningOptions(gain, shift, cutoff, lead, not not_monotone),
         )  # fmt: skip
         _require_small(float(np.abs(found.correction).max()), allowed, "the next correction")
         sent = found.correction if tool is None else tool.invert(motion.q, found.correction)
@@ -168,11 +185,12 @@ def learn(
             "frequencies": to_plain(found.to_frequency_rows()),
             "out": str(out),
         },
-        warnings=[*(w for log in logs for w in log.warnings), *found.warnings, *unseen],
+        warnings=[*(w for log in logs for w in log.warnings), *poor, *found.warnings, *unseen],
         inputs=[
             reference, *((path, log.sha256) for path, log in zip((*history, trial), logs, strict=False) if path),
             *((path, log.sha256) for path, log in zip(observed, shown, strict=False)),
-            *(p for p in (actuators, correction, columns) if p), *(robot_options.list_files(robot) if robot else []),
+            *(p for p in (actuators, model, correction, columns) if p),
+            *(robot_options.list_files(robot) if robot else []),
         ],
         files={out: text},
         named={"correction": out},
@@ -261,10 +279,11 @@ def observe(
     robot: str | None = None,
     /,
     *,
-    acceleration: Annotated[Strings, Parameter(group=_COLUMNS, metavar="COLUMN")],
+    acceleration: Annotated[Strings, Parameter(group=_COLUMNS, metavar="COLUMN")] = (),
     kinematic: Annotated[Strings, Parameter(group=_COLUMNS, metavar="COLUMN")] = (),
     model: Annotated[Path | None, Parameter(group=_FILTER, metavar="MODEL.yaml")] = None,
     cutoff: Annotated[Positives | None, Parameter(group=_FILTER, metavar="HZ")] = None,
+    camera: Annotated[Path | None, Parameter(group=_FILTER, metavar="POSES.csv")] = None,
     columns: ColumnMapFile = None,
     out: Annotated[
         Path | None,
@@ -273,7 +292,7 @@ def observe(
     robot_options: RobotOptions = RobotOptions(),
     output: Output = Output(),
 ) -> Outcome:
-    """Tool position from the actuators and an accelerometer on the tool, with 95 % intervals.
+    """Tool position from the actuators and an accelerometer or a camera that tracks it, with 95 % intervals.
 
     Args:
         log: CSV, Parquet, MCAP, a ROS bag or .mat, from rest to rest
@@ -282,11 +301,18 @@ def observe(
         kinematic: Tool position along x, y, z, computed from the actuators [m]
         model: Kalman filter: model from computed to true tool positions, as modes --out writes it
         cutoff: Complementary filter: cutoff frequency, one value or one per axis
+        camera: Poses that see --times measured during LOG, with its times; needs ROBOT, and no accelerometer
     """
     import numpy as np
 
-    if (model is None) == (cutoff is None):
-        raise InputError("bad_option", "observe takes either --model MODEL.yaml or --cutoff HZ")
+    if (model is not None) + (cutoff is not None) + (camera is not None) != 1:
+        raise InputError("bad_option", "observe takes either --model MODEL.yaml or --cutoff HZ, or --camera POSES.csv")
+    if camera is not None:
+        return _observe_by_camera(
+            log, robot, camera, bool(acceleration or kinematic), columns, out, robot_options, output
+        )
+    if not acceleration:
+        raise InputError("bad_option", "observe needs --acceleration COLUMN.., along x, y, z, or --camera POSES.csv")
     if bool(kinematic) == (robot is not None):
         raise InputError("bad_option", "the tool's position from the actuators comes from either ROBOT or --kinematic")
     with show_progress(output.quiet) as step:
@@ -325,4 +351,79 @@ def observe(
         files={out: found.to_csv()} if out else {},
         named={"tool": out},
         found=found,
+    )  # fmt: skip
+
+
+def _observe_by_camera(
+    log: str, robot: str | None, camera: Path, more: bool, columns: Path | None, out: Path | None, options: RobotOptions,
+    output: Output,
+) -> Outcome:  # fmt: skip
+    """Return the outcome of observe --camera."""
+    if robot is None or more:
+        raise InputError("bad_option", "--camera takes ROBOT, and neither --acceleration nor --kinematic")
+    with show_progress(output.quiet) as step:
+        step("loading")
+        from tau_dyn.control.observers import CameraTrack, observe_by_camera
+        from tau_dyn.kinematics import pick_columns
+        from tau_dyn.log import read_log
+        from tau_dyn.mechanism import forward_kinematics
+
+        read, machine, table = read_log(log, columns), options.load(robot), read_columns(camera)
+        names = [f"{axis}_tool" for axis in _AXES]
+        rows = pick_columns(table, ["t", *names, *(f"{name}_stderr" for name in names)], str(camera))
+        track = CameraTrack.of(rows[:, 0], rows[:, 1:4], rows[:, 4:], str(camera))
+        poses = forward_kinematics(machine, read.joint("q", machine.actuated)).poses
+        step("tracking")
+        found = observe_by_camera(names, read.t, poses, track)
+    return Outcome(
+        result={"axes": to_plain(found.to_rows()), "filter": found.how, "frequency_scale": None},
+        warnings=[*read.warnings, *found.warnings],
+        inputs=[(log, read.sha256), camera, *([columns] if columns else []), *options.list_files(robot)],
+        files={out: found.to_csv()} if out else {},
+        named={"tool": out},
+        found=found,
+    )
+
+
+def compute_shared_forces(
+    model: Annotated[str, describe_robot_or_model("with more drives than freedoms")],
+    /,
+    *,
+    motion: Annotated[Path, Parameter(metavar="MOTION.csv")],
+    preload: Annotated[Finites, Parameter(metavar="P")] = (),
+    width: Annotated[Positive, Parameter(metavar="V")] = 0.01,
+    out: Annotated[Path, build_destination("FORCES.csv", "Write t and tau_ff_J of all drives here", csv=True)],
+    robot_options: RobotOptions = RobotOptions(),
+    output: Output = Output(),
+) -> Outcome:
+    """Forces of double motors and other redundant drives along a motion, with a preload that keeps gears free of backlash.
+
+    Args:
+        motion: The motion of the actuated joints, from plan-motion, excite or simulate
+        preload: Preload of each redundant drive [N or N m] (default: a tenth above the smallest without backlash)
+        width: Speed within which the sign of friction is smoothed [m/s or rad/s]
+    """
+    with show_progress(output.quiet) as step:
+        step("loading")
+        from tau_dyn.control import compute_drive_forces
+        from tau_dyn.simulate import Trajectory
+
+        loaded = robot_options.load_model(model)
+        wanted = Trajectory.from_csv(str(motion), loaded.robot.actuated)
+        found = compute_drive_forces(loaded, wanted, preload, width=width)
+    rows = found.to_rows()
+    return Outcome(
+        result={
+            "drives": to_plain(rows), "preload": to_plain(found.preload), "smallest_preload": to_plain(found.smallest),
+            "out": str(out),
+        },
+        warnings=[*loaded.robot.warnings, *found.warnings],
+        inputs=[motion, *robot_options.list_files(model)],
+        lines=[
+            f"{row['joint']}: at most {row['force_max']:.4g} {row['unit']} of {row['force_limit']:.4g}, preload "
+            f"{row['preload']:.4g}"
+            for row in rows
+        ] + [f"smallest preload without backlash {abs(found.smallest).max():.4g} {found.units[-1]} -> {out}"],
+        files={out: found.to_csv()},
+        named={"forces": out},
     )  # fmt: skip

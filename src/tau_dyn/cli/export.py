@@ -15,7 +15,7 @@ from tau_dyn.cli.execute import Outcome
 from tau_dyn.cli.export_filters import FilterOptions, write_filter
 from tau_dyn.cli.progress import show_progress
 from tau_dyn.exceptions import InputError
-from tau_dyn.message_codes import CodedWarning
+from tau_dyn.message_codes import CodedWarning, get_code
 
 _CODE = Group("--to c, shaper, notch")
 _DRIVES = Group("--to mjlab, isaaclab")
@@ -487,13 +487,16 @@ def export_feedforward(
     return Outcome(
         result=result,
         warnings=[
-            f"the feedforward leaves out {effect.name}, "
-            + (
-                "which distorts the recorded force: the force is the one at the reference's own time"
-                if effect in recorded
-                else "which a single state does not determine"
-            )
-            for effect in dropped
+            *(w for w in loaded.robot.warnings if get_code(w) == "redundant_drives"),
+            *(
+                f"the feedforward leaves out {effect.name}, "
+                + (
+                    "which distorts the recorded force: the force is the one at the reference's own time"
+                    if effect in recorded
+                    else "which a single state does not determine"
+                )
+                for effect in dropped
+            ),
         ],
         inputs=[model] if args.is_saved_model(model) else robot_options.list_files(str(model)),
         lines=[said],

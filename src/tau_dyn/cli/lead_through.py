@@ -45,7 +45,7 @@ def lead_through(
         stiffness: Stiffness of the stiffest contact, instead of LOG
         force: Force on the tool along the normal [N]
         position: Position of the tool along the normal [m]
-        actuators: A file of the actuators command, for servo and delay
+        actuators: A file of the actuators command; its slowest servo and longest delay, at the ends of their 95 % intervals
         servo: Bandwidth of the drives (default 69, from the thesis)
         delay: Delay from a force sample to the next command [samples] (default 0)
         period: Sample period of the controller
@@ -63,7 +63,7 @@ def lead_through(
         raise InputError("cannot_write", f"{out}: the controller is written as C; its name ends in .c")
     with show_progress(output.quiet) as step:
         step("computing")
-        from tau_dyn.control.iterative import read_actuators
+        from tau_dyn.control.iterative import read_saved_actuators
         from tau_dyn.control.lead_through import (
             ForceLoop,
             LeadThroughOptions,
@@ -74,7 +74,7 @@ def lead_through(
         from tau_dyn.log import read_log
         from tau_dyn.results import Z95
 
-        read, stderr, most = None, None, stiffness
+        read, stderr, most, warnings = None, None, stiffness, []
         if log is not None:
             read = read_log(log, columns)
             missing = next((name for name in (force, position) if name not in read.channels), None)
@@ -85,9 +85,10 @@ def lead_through(
             value, stderr = fit_contact_stiffness(read.channels[position], read.channels[force])
             most = value + Z95 * stderr
         if actuators is not None:
-            axes = read_actuators(actuators)
-            servo = min(a.bandwidth_hz for a in axes) if servo is None else servo
-            delay = int(np.ceil(max(a.delay for a in axes) / period - 1e-6)) if delay is None else delay
+            drives = read_saved_actuators(actuators)
+            servo = drives.slowest.bandwidth_hz if servo is None else servo
+            delay = int(np.ceil(drives.slowest.delay / period - 1e-6)) if delay is None else delay
+            warnings += drives.warnings
         more = LeadThroughOptions() if settings is None else read_lead_through_options(settings)
         loop = ForceLoop(period, 69.0 if servo is None else servo, delay or 0, more.filter_hz)
         assert most is not None  # one of the two is given
@@ -97,7 +98,7 @@ def lead_through(
         files = {} if out is None else found.write_code(out)
     return Outcome(
         result={"settings": to_plain(found.to_rows()), "contact_stiffness_stderr": stderr},
-        warnings=[*(read.warnings if read else ()), *found.warnings],
+        warnings=[*(read.warnings if read else ()), *warnings, *found.warnings],
         inputs=[*([(log, read.sha256)] if log and read else []), *(p for p in (actuators, columns, settings) if p)],
         files=files,
         named={path.suffix[1:]: path for path in files},

@@ -73,10 +73,10 @@ def write_learning_source(law: Any, limit: float | Sequence[float], name: str = 
         InputError: The law is no pair of filters, a limit is not positive, or the name is no identifier of C.
     """
     require_c_name(name)
-    if not (hasattr(law, "forgetting") and hasattr(law, "learning")):
+    if not (hasattr(law, "forgetting") and hasattr(getattr(law, "learning", None), "samples")):
         raise InputError(
             "unsupported",
-            f"{type(law).__name__} is no pair of filters; its matrices over a whole trial are not written out",
+            f"{type(law).__name__} is no low-pass and shift; its matrices over a whole trial are not written out",
         )
     return _write_filters(law, limit, name)
 

@@ -1,5 +1,6 @@
 """Models in controllers: feedforward, tool observers, learning, optimal motion, lead-through; RAPID and reference files."""
 
+from .drive_sharing import DriveForces as DriveForces, compute_drive_forces as compute_drive_forces
 from .feedforward import Feedforward as Feedforward
 from .interface.correction import (
     Correction as Correction,

@@ -42,5 +42,6 @@ from .state_space import (
     StateSpace as StateSpace,
     load_state_space as load_state_space,
     save_state_space as save_state_space,
+    simulate_states as simulate_states,
 )
 from .subspace import compress_subspace_data as compress_subspace_data

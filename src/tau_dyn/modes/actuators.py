@@ -54,6 +54,17 @@ class Actuator:
         whole, near, far, a = _sampled(dt, self.time_constant, self.delay)
         return self.gain * np.array([near, far]), a, whole + 1
 
+    def response(self, frequency: np.ndarray, dt: float) -> np.ndarray:
+        """Return the sampled response (F,) at frequencies (F,) [Hz]."""
+        b, a, d = self.discrete(dt)
+        back = np.exp(-2j * np.pi * np.asarray(frequency, float) * dt)
+        return (b[0] + b[1] * back) * back**d / (1 - a * back)
+
+    def unsure(self, frequency: np.ndarray, dt: float) -> np.ndarray:
+        """Return zeros (F,): the model states no tolerance of its own."""
+        del dt
+        return np.zeros(len(frequency))
+
     @staticmethod
     def from_discrete(b: float, a: float, d: int, dt: float) -> Actuator:
         """Return the actuator behind `q^-d b / (1 - a q^-1)`.

@@ -10,7 +10,7 @@ from raising import raises_code
 
 from tau_dyn.control.iterative import LearningOptions, LearningStep, compute_learning_step
 from tau_dyn.control.iterative.joint_learning import GAINS
-from tau_dyn.control.iterative.trial_response import compute_model_response, estimate_response
+from tau_dyn.control.iterative.trial_response import estimate_response
 from tau_dyn.modes import Actuator
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "experiments"))
@@ -58,9 +58,9 @@ def test_changes_tell_the_response_that_a_wrong_model_hides() -> None:
     commands, positions = go_on(2, 1e-6)
     found = estimate_response(wrong, [c[:, 0] for c in commands], [y[:, 0] for y in positions], DT, FULL)
     known = (found.frequency > 0.5) & (found.frequency < 6)
-    true = compute_model_response(DRIVE, DT, found.frequency)
+    true = DRIVE.response(found.frequency, DT)
     off = np.abs(found.mean - true)[known]
-    before = np.abs(compute_model_response(wrong, DT, found.frequency) - true)[known]
+    before = np.abs(wrong.response(found.frequency, DT) - true)[known]
     assert np.mean(off < 2.5 * found.deviation[known]) > 0.9
     assert off.mean() < before.mean() / 3
 

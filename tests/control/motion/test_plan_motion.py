@@ -105,6 +105,15 @@ def test_all_drives_work_at_their_limits(free: MotionPlan, straight: MotionPlan)
     assert np.argmax(on_line) == 2 and on_line[2] > 0.9 and np.max(on_line[:2]) < 0.1
 
 
+def test_the_verdict_names_a_limit_that_is_left(free: MotionPlan):
+    """A plan 1 % over a limit between its nodes is not "within limits"; the share of time at a force limit is the union."""
+    assert describe_verdict(free).level == "good" and not free.exceeds
+    over = describe_verdict(replace(free, excess=0.01))
+    assert over.level == "care" and "1 %" in over.sentence
+    alone = np.mean(np.abs(free.tau) >= 0.99 * FORCE, axis=0)
+    assert alone.max() < free.share_at_force_limit < alone.sum()
+
+
 @pytest.mark.parametrize("name", ["free", "straight"])
 def test_forces_stay_within_limits_between_the_nodes(name: str, request, gantry):
     """On a fine clock the model's own inverse dynamics with unsmoothed friction, where that acts, stays within the limits."""

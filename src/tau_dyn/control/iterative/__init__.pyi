@@ -2,8 +2,10 @@
 
 from .actuator_models import (
     ActuatorModels as ActuatorModels,
+    SavedActuators as SavedActuators,
     fit_actuator_models as fit_actuator_models,
     read_actuators as read_actuators,
+    read_saved_actuators as read_saved_actuators,
 )
 from .filters import (
     TimeShift as TimeShift,
@@ -32,6 +34,11 @@ from .lifted_system import (
     build_signal_operator as build_signal_operator,
     compute_pulse_response as compute_pulse_response,
     stack_controlled_actuators as stack_controlled_actuators,
+)
+from .resonant_drive import (
+    ResonantDrive as ResonantDrive,
+    ResponseInverse as ResponseInverse,
+    read_resonant_drives as read_resonant_drives,
 )
 from .tool_axes import ToolAxes as ToolAxes
 from .trial_loop import (

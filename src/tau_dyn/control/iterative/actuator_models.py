@@ -18,9 +18,10 @@ from tau_dyn.files import read_yaml, write_whole
 from tau_dyn.log import Log
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.modes import Actuator, ActuatorFit, Record, build_records, fit_actuators
-from tau_dyn.results import Shown
+from tau_dyn.results import Z95, Shown
 
 _FORMAT = 1  # version of the file's layout
+_VALUES = ("gain", "time_constant", "delay")
 _POOR_PERCENT = 80.0  # fit below which a first-order system with a delay is no model of an axis
 
 
@@ -48,15 +49,7 @@ class ActuatorModels(Shown):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Axes that no first-order system with a delay describes."""
-        return tuple(
-            CodedWarning(
-                "poor_fit",
-                f"{name}: the fit explains {fit.fit_percent:.3g} % of the position; it is no first-order system with a delay",
-                (_strip(name),),
-            )
-            for name, fit in zip(self.outputs, self.fits, strict=True)
-            if fit.fit_percent < _POOR_PERCENT
-        )
+        return _list_poor_fits(self.outputs, [fit.fit_percent for fit in self.fits])
 
     def to_rows(self) -> list[dict[str, Any]]:
         """Return one row an axis: the parameters with standard errors, and (6.11) as `a`, `b`, `d`."""
@@ -74,10 +67,11 @@ class ActuatorModels(Shown):
 
     def save(self, path: Path) -> None:
         """Write the actuators' file atomically."""
-        axes = [
-            {"axis": _strip(y), **{n: getattr(f.actuator, n) for n in ("gain", "time_constant", "delay")}}
-            for y, f in zip(self.outputs, self.fits, strict=True)
-        ]
+        axes = []
+        for y, f in zip(self.outputs, self.fits, strict=True):
+            values = {name: getattr(f.actuator, name) for name in _VALUES}
+            stderr = {f"{name}_stderr": getattr(f.stderr, name) for name in _VALUES}
+            axes.append({"axis": _strip(y), **values, **stderr, "fit_percent": float(f.fit_percent)})
         write_whole(path, yaml.safe_dump({"tau_dyn_actuators": _FORMAT, "axes": axes}, sort_keys=False))
 
 
@@ -113,7 +107,40 @@ def fit_actuator_models(
     return ActuatorModels(tuple(inputs), tuple(outputs), fit_actuators(records, progress), tuple(records))
 
 
+@dataclass(frozen=True)
+class SavedActuators:
+    """The actuators of a file.
+
+    Attributes:
+        axes: Their names.
+        actuators: Their values.
+        stderr: Standard errors of these values; zero where the file has none.
+        fit_percent: Their fits; 100 where the file has none.
+    """
+
+    axes: tuple[str, ...]
+    actuators: tuple[Actuator, ...]
+    stderr: tuple[Actuator, ...]
+    fit_percent: tuple[float, ...]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Axes that no first-order system with a delay describes."""
+        return _list_poor_fits(self.axes, self.fit_percent)
+
+    @property
+    def slowest(self) -> Actuator:
+        """The longest time constant and delay of all axes, at the upper ends of their 95 % intervals."""
+        pairs = list(zip(self.actuators, self.stderr, strict=True))
+        return Actuator(1.0, *(max(getattr(a, n) + Z95 * getattr(e, n) for a, e in pairs) for n in _VALUES[1:]))
+
+
 def read_actuators(path: str | Path, axes: Sequence[str] = ()) -> tuple[Actuator, ...]:
+    """Return the actuators of a file; see `read_saved_actuators`."""
+    return read_saved_actuators(path, axes).actuators
+
+
+def read_saved_actuators(path: str | Path, axes: Sequence[str] = ()) -> SavedActuators:
     """Return the actuators of a file that `ActuatorModels.save` wrote, in the order of axes, or all of them.
 
     Raises:
@@ -128,18 +155,37 @@ def read_actuators(path: str | Path, axes: Sequence[str] = ()) -> tuple[Actuator
     found = {}
     for row in content.get("axes") or []:
         try:
-            values = [float(row[name]) for name in ("gain", "time_constant", "delay")]
+            values = [float(row[name]) for name in _VALUES]
+            errors = [float(row.get(f"{name}_stderr", 0.0)) for name in _VALUES]
+            fit = float(row.get("fit_percent", 100.0))
         except (KeyError, TypeError, ValueError):
             raise InputError("file_format", f"{path}: an axis needs axis, gain, time_constant and delay") from None
-        if not (np.isfinite(values).all() and values[1] > 0 and values[2] >= 0):
+        if not (np.isfinite([*values, *errors, fit]).all() and values[1] > 0 and min(values[2], *errors) >= 0):
             raise InputError(
-                "invalid_value", f"{path}: axis {row.get('axis')}: a time constant is above zero, a delay not below"
+                "invalid_value",
+                f"{path}: axis {row.get('axis')}: a time constant is above zero, a delay or a standard error not below",
             )
-        found[str(row.get("axis"))] = Actuator(*values)
+        found[str(row.get("axis"))] = Actuator(*values), Actuator(*errors), fit
     missing = next((axis for axis in axes if axis not in found), None)
     if missing is not None:
         raise InputError("mismatch", f"{path}: there is no axis {missing}; there are {', '.join(found)}")
-    return tuple(found[axis] for axis in axes or found)
+    if not found:
+        raise InputError("file_format", f"{path}: it has no axis")
+    names = tuple(axes or found)
+    return SavedActuators(names, *zip(*(found[name] for name in names), strict=True))
+
+
+def _list_poor_fits(axes: Sequence[str], fit_percent: Sequence[float]) -> tuple[str, ...]:
+    """Return a warning for each axis whose fit is poor."""
+    return tuple(
+        CodedWarning(
+            "poor_fit",
+            f"{name}: the fit explains {fit:.3g} % of the position; it is no first-order system with a delay",
+            (_strip(name),),
+        )
+        for name, fit in zip(axes, fit_percent, strict=True)
+        if fit < _POOR_PERCENT
+    )
 
 
 def _strip(column: str) -> str:

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
-from typing import cast
+from typing import Protocol, cast
 
 import numpy as np
 from scipy.linalg import toeplitz
@@ -123,6 +123,31 @@ def _inside(frequency: float, dt: float) -> None:
             "invalid_value",
             f"a cutoff of {frequency:g} Hz does not fit to samples every {1000 * dt:g} ms; it takes 0 to {0.5 / dt:g} Hz",
         )
+
+
+class LearningFilter(Protocol):
+    """L, from a trial's error to the change of the correction."""
+
+    @property
+    def dt(self) -> float:
+        """Sampling step [s]."""
+        ...
+
+    def apply(self, e: np.ndarray) -> np.ndarray:
+        """Return errors (N, ...) through L."""
+        ...
+
+    def transposed(self, e: np.ndarray) -> np.ndarray:
+        """Return signals (N, ...) through the transposed matrix."""
+        ...
+
+    def matrix(self, n: int) -> np.ndarray:
+        """Return (n, n)."""
+        ...
+
+    def response(self, frequency: np.ndarray) -> np.ndarray:
+        """Return the response (F,) at frequencies (F,) [Hz]."""
+        ...
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ trial multiplies the error by `Q (1 - L G)`. G is known with a standard error s,
 
 A law is admitted if m does not exceed 1 at any frequency. The admitted law with the smallest error after a few trials is chosen.
 This error has three parts: the part not yet learnt, the part that Q removes from the correction, and the non-repeating part that
-is learnt nevertheless.
+is learnt nevertheless. With a model of the resonances (`resonant_drive`), the inverse of G is tried as L next to the shifts.
 """
 
 from __future__ import annotations
@@ -23,9 +23,10 @@ from typing import Literal
 
 import numpy as np
 
-from tau_dyn.control.iterative.filters import TimeShift, ZeroPhase, design_low_pass
+from tau_dyn.control.iterative.filters import LearningFilter, TimeShift, ZeroPhase, design_low_pass
 from tau_dyn.control.iterative.laws import LearningLaw
 from tau_dyn.control.iterative.learned_outputs import Reference
+from tau_dyn.control.iterative.resonant_drive import DriveModel, ResonantDrive, ResponseInverse
 from tau_dyn.control.iterative.trial_loop import (
     Convergence,
     analyse_convergence,
@@ -38,7 +39,6 @@ from tau_dyn.control.iterative.trial_response import (
     estimate_response,
     forecast_trial,
 )
-from tau_dyn.modes import Actuator
 
 CUTOFFS_HZ = (40.0, 30.0, 20.0, 15.0, 10.0, 7.0, 5.0, 3.0, 2.0, 1.0)
 """Cutoffs that are tried [Hz]; the thesis learns up to 10."""
@@ -58,17 +58,29 @@ class LawChoice:
 
     Attributes:
         gain: Gain of L.
-        shift: Shift of L [samples].
+        shift: Shift of L [samples]; None for the inverse of the response.
         cutoff_hz: Cutoff of Q [Hz].
         worst: Largest root mean square of the growth at any frequency.
         floor: RMS of the error that remains after many trials [m or rad].
     """
 
     gain: float
-    shift: int
+    shift: int | None
     cutoff_hz: float
     worst: float
     floor: float
+
+    def build_filter(self, response: TrialResponse) -> LearningFilter:
+        """Return L."""
+        if self.shift is not None:
+            return TimeShift(self.gain, self.shift, response.dt)
+        inverse = self.gain * invert_response(response)
+        return ResponseInverse(np.concatenate([inverse[:1].real, inverse]), response.length, response.dt)
+
+
+def invert_response(response: TrialResponse) -> np.ndarray:
+    """Return the inverse (F,) with the smallest mean square of what it leaves, for a gain of 1."""
+    return response.mean.conj() / np.maximum(np.abs(response.mean) ** 2 + response.deviation**2, 1e-300)
 
 
 def choose_law(
@@ -93,8 +105,10 @@ def choose_law(
         any_growth: If no law is admitted, return the one with the least growth; the caller then judges it.
     """
     E = response.transform(error)
+    inverse = invert_response(response)[None] if shifts is None and isinstance(response.model, ResonantDrive) else None
     start = E + response.mean * response.transform(command)
     tried = list_shifts(response) if shifts is None else np.asarray(shifts)
+    lead = np.exp(2j * np.pi * np.outer(tried, response.frequency) * response.dt)
     best: tuple[float, LawChoice] | None = None
     least: LawChoice | None = None
     for cutoff in cutoffs:
@@ -102,12 +116,13 @@ def choose_law(
             continue
         Q = design_low_pass(cutoff, response.dt).response(response.frequency)
         for gain in gains:
-            left, k, worst, floor = _judge(response, E, start, Q, gain, tried)
-            law = LawChoice(gain, int(tried[k]), cutoff, worst, floor)
-            if np.isfinite(left) and (best is None or left < best[0]):
-                best = left, law
-            if least is None or worst < least.worst:
-                least = law
+            for unit in (lead, *(() if inverse is None else (inverse,))):
+                left, k, worst, floor = _judge(response, E, start, Q, gain * unit)
+                law = LawChoice(gain, int(tried[k]) if unit is lead else None, cutoff, worst, floor)
+                if np.isfinite(left) and (best is None or left < best[0]):
+                    best = left, law
+                if least is None or worst < least.worst:
+                    least = law
     if best is not None:
         return best[1]
     return least if any_growth else None
@@ -120,28 +135,26 @@ def list_shifts(response: TrialResponse) -> np.ndarray:
 
 
 def compute_growth(
-    response: TrialResponse, filtered: ZeroPhase, gain: float, shift: int
+    response: TrialResponse, filtered: ZeroPhase, learning: LearningFilter
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return mean and standard error of the size of the growth (F,)."""
-    Q = filtered.response(response.frequency)
-    L = gain * np.exp(2j * np.pi * response.frequency * response.dt * shift)
-    return Q * np.abs(1 - L * response.mean), Q * gain * response.deviation
+    Q, L = filtered.response(response.frequency), learning.response(response.frequency)
+    return Q * np.abs(1 - L * response.mean), Q * np.abs(L) * response.deviation
 
 
 def _judge(
-    response: TrialResponse, E: np.ndarray, start: np.ndarray, Q: np.ndarray, gain: float, shifts: np.ndarray
+    response: TrialResponse, E: np.ndarray, start: np.ndarray, Q: np.ndarray, L: np.ndarray
 ) -> tuple[float, int, float, float]:
-    """Return the remaining error of the best admitted shift, its index, its worst growth and its floor.
+    """Return the remaining error of the best admitted L of several (S, F), its index, its worst growth and its floor.
 
-    If no shift is admitted, return infinity and the shift with the least growth.
+    If none is admitted, return infinity and the one with the least growth.
     """
-    lead = np.exp(2j * np.pi * np.outer(shifts, response.frequency) * response.dt)
-    one = Q * (1 - gain * lead * response.mean)
-    square = np.abs(one) ** 2 + (Q * gain * response.deviation) ** 2
+    one = Q * (1 - L * response.mean)
+    square = np.abs(one) ** 2 + (Q * np.abs(L) * response.deviation) ** 2
     worst = square.max(axis=1)
     part = np.minimum(square, 1 - 1e-6)
     stays = np.abs((1 - Q) * start / np.maximum(np.abs(1 - one), 1e-3)) ** 2
-    noise = response.noise * (1 + (Q * gain * np.abs(response.mean)) ** 2 / (1 - part))
+    noise = response.noise * (1 + (Q * np.abs(L * response.mean)) ** 2 / (1 - part))
     last = stays + noise
     left = np.where(worst <= _STAY_BELOW, np.sum(part**_AHEAD * np.abs(E) ** 2 + last, axis=1), np.inf)
     k = int(np.argmin(left)) if np.any(np.isfinite(left)) else int(np.argmin(worst))
@@ -171,6 +184,7 @@ class JointLearning:
         base: Index of the trial from which the next correction starts.
         law: The law; None if no law is admitted.
         filtered: Q of the law.
+        learning: L of the law.
         correction: The next correction (N,).
         forecast: Prediction of the next trial.
         convergence: Convergence of the law on the mean response; for a chosen law, by the frequency condition.
@@ -187,6 +201,7 @@ class JointLearning:
     base: int
     law: LawChoice | None
     filtered: ZeroPhase | None
+    learning: LearningFilter | None
     correction: np.ndarray
     forecast: Forecast
     convergence: Convergence | None
@@ -195,9 +210,9 @@ class JointLearning:
 
     def growth(self) -> tuple[np.ndarray, np.ndarray]:
         """Return mean and standard error of an error's growth in a trial (F,); one and zero without a law."""
-        if self.law is None or self.filtered is None:
+        if self.learning is None or self.filtered is None:
             return np.ones(len(self.response.frequency)), np.zeros(len(self.response.frequency))
-        return compute_growth(self.response, self.filtered, self.law.gain, self.law.shift)
+        return compute_growth(self.response, self.filtered, self.learning)
 
     @property
     def largest_growth(self) -> tuple[float, float, float]:
@@ -225,7 +240,7 @@ def learn_joint(
     motion: Reference,
     sent: Sequence[np.ndarray],
     position: Sequence[np.ndarray],
-    given: Actuator | None,
+    given: DriveModel | None,
     options: LawOptions = LawOptions(),
 ) -> JointLearning:
     """Return the next correction of one drive.
@@ -250,10 +265,10 @@ def learn_joint(
     misses = _count_misses(forecasts, outcomes)
     before = sent[base] - reference
     law = _choose(response, errors[base], before, options, misses)
-    correction, filtered = before, None
+    correction, filtered, learning = before, None, None
     if law is not None:
-        filtered = design_low_pass(law.cutoff_hz, motion.dt)
-        asked = before + TimeShift(law.gain, law.shift, motion.dt).apply(errors[base])
+        filtered, learning = design_low_pass(law.cutoff_hz, motion.dt), law.build_filter(response)
+        asked = before + learning.apply(errors[base])
         correction = motion.weights() * filtered.apply(asked)
     forecast = forecast_trial(response, errors[base], correction - before, motion.full).widened(*width)
     action, reason = _decide(law, forecast, outcomes, base, misses, options)
@@ -261,12 +276,12 @@ def learn_joint(
         correction = before
         forecast = forecast_trial(response, errors[base], 0.0 * before, motion.full).widened(*width)
     convergence = None
-    if law is not None and filtered is not None:
-        whole = LearningLaw(response.side(), (filtered,), TimeShift(law.gain, law.shift, motion.dt))
+    if learning is not None and filtered is not None:
+        whole = LearningLaw(response.side(), (filtered,), learning)
         convergence = analyse_convergence(whole, motion) if options.given else _bound_convergence(whole)
     return JointLearning(
-        response, given_rms, fitted_rms, forecasts, outcomes, base, law, filtered, correction, forecast, convergence,
-        action, reason,
+        response, given_rms, fitted_rms, forecasts, outcomes, base, law, filtered, learning, correction, forecast,
+        convergence, action, reason,
     )  # fmt: skip
 
 
@@ -283,7 +298,7 @@ def compute_rms(x: np.ndarray, full: slice) -> float:
 
 
 def _forecast_past(
-    model: Actuator,
+    model: DriveModel,
     motion: Reference,
     sent: Sequence[np.ndarray],
     position: Sequence[np.ndarray],

@@ -32,7 +32,14 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse.linalg import aslinearoperator
 
-from tau_dyn.control.iterative.filters import TimeShift, ZeroPhase, build_notch, chain_filters, design_low_pass
+from tau_dyn.control.iterative.filters import (
+    LearningFilter,
+    TimeShift,
+    ZeroPhase,
+    build_notch,
+    chain_filters,
+    design_low_pass,
+)
 from tau_dyn.control.iterative.learned_outputs import LearnedOutput, Reference
 from tau_dyn.control.iterative.lifted_system import Operator, build_signal_operator, stack_channels, unstack_channels
 from tau_dyn.exceptions import InputError
@@ -77,7 +84,7 @@ class LearningLaw:
 
     side: LearnedOutput
     forgetting: tuple[ZeroPhase, ...]
-    learning: TimeShift
+    learning: LearningFilter
     bound: None = None
 
     def __post_init__(self) -> None:

@@ -15,14 +15,14 @@ import numpy as np
 
 from tau_dyn.control.iterative.joint_learning import JointLearning, LawOptions, learn_joint
 from tau_dyn.control.iterative.learned_outputs import Reference
+from tau_dyn.control.iterative.resonant_drive import DriveModel
 from tau_dyn.control.iterative.trial_loop import Convergence, FrequencyCondition, require_convergence
+from tau_dyn.control.iterative.trial_response import POOR_MODEL
 from tau_dyn.exceptions import InputError
 from tau_dyn.message_codes import CodedWarning
-from tau_dyn.modes import Actuator
 from tau_dyn.results import Shown
 
 _LEAD_SHARE = 0.1  # of the motion that learning takes to fade in, and out
-_POOR_MODEL = 2.0  # times the error of an actuator fitted to the trial: beyond, a warning states both
 _EDGES_HZ = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # of the bands that are listed
 _SEEN = 2.0  # times the noise's power that a change has in a band, for its growth to be listed
 
@@ -92,8 +92,8 @@ class LearningStep(Shown):
 
     @property
     def shift(self) -> int | None:
-        """Largest shift of all drives [samples]; None without a law."""
-        return max((d.law.shift for d in self.drives if d.law), default=None)
+        """Largest shift of all drives [samples]; None without one."""
+        return max((d.law.shift for d in self.drives if d.law and d.law.shift is not None), default=None)
 
     @property
     def cutoff_hz(self) -> float | None:
@@ -113,11 +113,12 @@ class LearningStep(Shown):
                 out.append(CodedWarning("prediction_missed", f"{joint}: {drive.reason}", (joint,)))
             elif drive.reason:
                 out.append(f"{joint}: {drive.reason}")
-            if drive.given_rms is not None and drive.given_rms > _POOR_MODEL * drive.fitted_rms:
-                out.append(
-                    f"{joint}: the actuator's model misses the first trial by {drive.given_rms:.3g}; one fitted to that trial "
+            if drive.given_rms is not None and drive.given_rms > POOR_MODEL * drive.fitted_rms:
+                said = (
+                    f"{joint}: the model given misses the first trial by {drive.given_rms:.3g}; one fitted to that trial "
                     f"misses it by {drive.fitted_rms:.3g} and is used"
                 )
+                out.append(CodedWarning("model_contradicted", said, (joint,)))
         return tuple(out)
 
     def count_inside(self) -> tuple[int, int]:
@@ -135,7 +136,8 @@ class LearningStep(Shown):
                 "joint": joint, "error_rms": float(drive.outcomes[-1]), "expected_error_rms": drive.forecast.rms,
                 "expected_error_rms_ci95": [drive.forecast.low, drive.forecast.high],
                 "largest_previous_correction": previous[k], "largest_correction": largest[k],
-                "gain": law and law.gain, "shift_samples": law and law.shift, "cutoff_hz": law and law.cutoff_hz,
+                "gain": law and law.gain, "shift_samples": law and law.shift, "inverts": bool(law and law.shift is None),
+                "cutoff_hz": law and law.cutoff_hz,
                 "largest_growth": growth[0], "largest_growth_ci95": list(growth[1:]), "floor_rms": law and law.floor,
                 "from_trial": drive.base + 1, "action": drive.action, "reason": drive.reason,
             })  # fmt: skip
@@ -186,7 +188,7 @@ def compute_learning_step(
     reference: np.ndarray,
     commands: Sequence[np.ndarray],
     positions: Sequence[np.ndarray],
-    actuators: Sequence[Actuator] | None = None,
+    actuators: Sequence[DriveModel] | None = None,
     options: LearningOptions = LearningOptions(),
 ) -> LearningStep:
     """Return the next correction of the drives' references.
@@ -197,7 +199,8 @@ def compute_learning_step(
         reference: The motion without any correction (N, m) [m or rad].
         commands: Command of each trial, reference plus correction, in the order of the trials; each (N, m).
         positions: Measured positions of each trial, on the same clock; each (N, m).
-        actuators: A model of each drive; None takes them from the first trial.
+        actuators: A model of each drive; None takes them from the first trial. With a `ResonantDrive` the inverse of the
+            response is tried as L.
         options: Options of the law.
 
     Raises:

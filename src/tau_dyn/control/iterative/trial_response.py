@@ -30,7 +30,11 @@ from scipy.fft import next_fast_len
 
 from tau_dyn.control.iterative.learned_outputs import OwnPositions
 from tau_dyn.control.iterative.lifted_system import Operator, build_convolution
+from tau_dyn.control.iterative.resonant_drive import DriveModel
 from tau_dyn.modes import Actuator, Record, fit_actuators
+
+POOR_MODEL = 2.0
+"""Error of a model given over that of an actuator fitted to the trial, beyond which a warning states both."""
 
 _BAND_SHARE = 0.25  # half-width of a band over its frequency
 _BAND_BINS = 3.0  # least half-width, over the inverse of the trial's length
@@ -40,6 +44,7 @@ _ALTERNATIONS = 3  # of response and noise in turn
 _UPDATES = 50  # of the split into noise and bend; the likelihood then changes below its own spread
 _LEAST_POWER = 1e-30  # m^2 or rad^2, of a transform: below any encoder's, and not zero
 _MAX_VARIANCE = 4.0  # of C without any data: gains up to twice the model's, any phase
+_SHOWN = 10.0  # times the encoder's noise from which a residual of P is the drive's: a resonance has no such bound
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +98,7 @@ class TrialResponse:
         freedom: Real degrees of freedom of the noise; 0 before the first change.
     """
 
-    model: Actuator
+    model: DriveModel
     dt: float
     n: int
     frequency: np.ndarray
@@ -112,12 +117,17 @@ class TrialResponse:
     @property
     def mean(self) -> np.ndarray:
         """Posterior mean of G (F,)."""
-        return self.factor * compute_model_response(self.model, self.dt, self.frequency)
+        return self.factor * self.model.response(self.frequency, self.dt)
 
     @property
     def deviation(self) -> np.ndarray:
         """Standard error of G (F,)."""
-        return self.stderr * np.abs(compute_model_response(self.model, self.dt, self.frequency))
+        return self.stderr * np.abs(self.model.response(self.frequency, self.dt))
+
+    @property
+    def model_stderr(self) -> np.ndarray:
+        """Standard error of C (F,) that no change of the command lowers: P is no more than a model."""
+        return np.hypot(_MODEL_STDERR, self.model.unsure(self.frequency, self.dt))
 
     def transform(self, x: np.ndarray) -> np.ndarray:
         """Return signals (N, ...) as transforms (F, ...)."""
@@ -158,7 +168,7 @@ class MeasuredSide(OwnPositions):
         f = np.asarray(frequency, float)
         known = self.found.frequency
         factor = np.interp(f, known, self.found.factor.real) + 1j * np.interp(f, known, self.found.factor.imag)
-        return (factor * compute_model_response(self.found.model, self.dt, f))[:, None, None]
+        return (factor * self.found.model.response(f, self.dt))[:, None, None]
 
 
 def count_transform_samples(n: int) -> int:
@@ -166,26 +176,21 @@ def count_transform_samples(n: int) -> int:
     return cast(int, next_fast_len(2 * n, real=True))
 
 
-def compute_model_response(actuator: Actuator, dt: float, frequency: np.ndarray) -> np.ndarray:
-    """Return an actuator's response (F,) at frequencies (F,) [Hz]."""
-    b, a, d = actuator.discrete(dt)
-    back = np.exp(-2j * np.pi * np.asarray(frequency, float) * dt)
-    return (b[0] + b[1] * back) * back**d / (1 - a * back)
-
-
 def choose_model(
-    given: Actuator | None, sent: np.ndarray, position: np.ndarray, dt: float
-) -> tuple[Actuator, float | None, float]:
-    """Return P: the given actuator or one fitted to a trial, whichever explains the trial better.
+    given: DriveModel | None, sent: np.ndarray, position: np.ndarray, dt: float
+) -> tuple[DriveModel, float | None, float]:
+    """Return P: the given model or an actuator fitted to a trial, whichever explains the trial better.
+
+    A smooth trial hardly shows resonances, so a given model with resonances is kept unless it is worse by `POOR_MODEL`.
 
     Args:
-        given: Actuator from a file, or None.
+        given: Model from a file, or None.
         sent: Command of the trial (N,) [m or rad].
         position: Its measured position (N,).
         dt: Step [s].
 
     Returns:
-        P, and RMS errors of the given and of the fitted actuator on the trial [m or rad].
+        P, and RMS errors of the given model and of the fitted actuator on the trial [m or rad].
 
     Raises:
         CannotAnswer: The command never moves, or the position does not follow it.
@@ -197,11 +202,12 @@ def choose_model(
         return fit.actuator, None, own
     left = position - position[0] - (given.simulate(sent, dt) - given.gain * sent[0])
     other = float(np.std(left))
-    return (given if other <= own else fit.actuator), other, own
+    patience = 1.0 if isinstance(given, Actuator) else POOR_MODEL
+    return (given if other <= patience * own else fit.actuator), other, own
 
 
 def estimate_response(
-    model: Actuator, sent: Sequence[np.ndarray], position: Sequence[np.ndarray], dt: float, full: slice
+    model: DriveModel, sent: Sequence[np.ndarray], position: Sequence[np.ndarray], dt: float, full: slice
 ) -> TrialResponse:
     """Return a drive's response.
 
@@ -237,7 +243,10 @@ def _compute_prior_variance(found: TrialResponse, sent: np.ndarray, position: np
     """Return the variance of C (F,) from the residual of P on a trial's speed."""
     X, Z = _transform_speeds(found, sent, position)
     left, there = found.bands.average(np.abs(Z - X) ** 2), found.bands.average(np.abs(X) ** 2)
-    return np.minimum(left / np.maximum(there, 1e-300) + _MODEL_STDERR**2, _MAX_VARIANCE)
+    share = left / np.maximum(there, 1e-300)
+    slopes = np.abs(2 * np.sin(np.pi * found.frequency * found.dt)) ** 2
+    shown = left > _SHOWN * _estimate_encoder_power(position) * slopes
+    return np.where(shown, share, np.minimum(share, _MAX_VARIANCE)) + found.model_stderr**2
 
 
 def _transform_speeds(found: TrialResponse, sent: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -256,7 +265,7 @@ def _update(
         g * found.bands.average(np.abs(X) ** 2) for g, (X, _) in zip(told, both, strict=True)
     )
     shown = sum(g * found.bands.average(Z * X.conj()) for g, (X, Z) in zip(told, both, strict=True))
-    return (1 / variance + shown) / precision, np.sqrt(1 / precision + _MODEL_STDERR**2)
+    return (1 / variance + shown) / precision, np.sqrt(1 / precision + found.model_stderr**2)
 
 
 def _split(size: np.ndarray, power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

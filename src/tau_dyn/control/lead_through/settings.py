@@ -9,6 +9,7 @@ import numpy as np
 from tau_dyn.control.lead_through.sensing import ForceSensor
 from tau_dyn.control.lead_through.stability import ForceLoop
 from tau_dyn.exceptions import InputError, UnknownName
+from tau_dyn.message_codes import CodedWarning
 
 _POSITIVE = {"contact_on", "contact_off", "torque_on", "release_force", "speed_limit", "turning_limit", "force_limit"}
 _POSITIVE |= {"contact_stiffness", "hand_stiffness", "turning_stiffness", "normal_hz"}
@@ -235,8 +236,11 @@ class LeadThroughSettings:
         if share <= 0.5:
             return ()
         return (
-            f"force_gain is {share:.0%} of the stability limit {limit.gain:.3g} m/s per N at {self.contact_stiffness:g} N/m: "
-            f"noise will swing the force near {limit.hz:.0f} Hz; half the limit or less is calm",
+            CodedWarning(
+                "near_limit",
+                f"force_gain is {share:.0%} of the stability limit {limit.gain:.3g} m/s per N at {self.contact_stiffness:g} N/m: "
+                f"noise will swing the force near {limit.hz:.0f} Hz; half the limit or less is calm",
+            ),
         )
 
     def _in_order(self) -> None:

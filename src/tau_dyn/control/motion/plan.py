@@ -37,6 +37,7 @@ from tau_dyn.control.motion.expressions import ForceLaw, build_force_law, import
 from tau_dyn.control.motion.limits import MotionLimits, compute_end_positions
 from tau_dyn.control.motion.transcription import Transcription, TranscriptionSolution
 from tau_dyn.exceptions import CannotAnswer, InputError
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.model import Model
 from tau_dyn.robot import Robot
 from tau_dyn.simulate import Trajectory
@@ -117,6 +118,16 @@ class MotionPlan:
             return None
         J = self.model.mechanism.tool_jacobian(self.q)
         return np.linalg.norm(np.einsum("nij,nj->ni", J, self.v), axis=1)
+
+    @property
+    def exceeds(self) -> bool:
+        """Whether the motion leaves a limit between the solver's nodes."""
+        return self.excess > _TOLD
+
+    @property
+    def share_at_force_limit(self) -> float:
+        """Share of the time at which at least one drive is at its force limit."""
+        return float(np.mean((np.abs(self.tau) >= AT_LIMIT * self.limits.force).any(axis=1)))
 
     def trajectory(self) -> Trajectory:
         """Return the motion as `simulate` and controllers take it."""
@@ -419,4 +430,5 @@ def _refuse_singular(model: Model, q: np.ndarray, limits: MotionLimits) -> None:
 def _excess_words(excess: float) -> list[str]:
     if excess <= _TOLD:
         return []
-    return [f"between the nodes a limit is left by up to {100 * excess:.1f} %; more nodes, or a margin, keep it"]
+    said = f"between the nodes a limit is left by up to {100 * excess:.1f} %; more nodes, or a margin, keep it"
+    return [CodedWarning("near_limit", said)]

@@ -1,6 +1,7 @@
 """Where the tool is, from what the actuators say and an accelerometer feels."""
 
 from .acceleration_check import refuse_odd_accelerations as refuse_odd_accelerations
+from .camera_track import CameraTrack as CameraTrack, observe_by_camera as observe_by_camera
 from .complementary import ComplementaryToolObserver as ComplementaryToolObserver
 from .kalman import (
     ExtendedModel as ExtendedModel,

@@ -29,6 +29,7 @@ from scipy.optimize import minimize
 from tau_dyn.control.observers.complementary import ComplementaryToolObserver, require_signals
 from tau_dyn.control.observers.kalman import KalmanToolObserver
 from tau_dyn.control.observers.tuning import Whiteness, check_whiteness, log_likelihood, tune_kalman
+from tau_dyn.message_codes import CodedWarning
 from tau_dyn.modes import StateSpace
 from tau_dyn.results import Z95, Shown
 
@@ -124,7 +125,8 @@ class ToolObservation(Shown):
         position: Estimated tool positions (N, m) [m].
         stderr: Standard deviation of their error (m,) [m].
         how: The filter in words.
-        error: Error of the estimate by the innovations; None for the complementary filter.
+        error: Error of the estimate by the innovations; None without a Kalman filter.
+        notes: Further warnings.
     """
 
     axes: tuple[str, ...]
@@ -134,12 +136,13 @@ class ToolObservation(Shown):
     stderr: np.ndarray
     how: str
     error: ObserverError | None
+    notes: tuple[str, ...] = ()
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Properties of the model that the log contradicts."""
+        """Properties of the model that the log contradicts, and notes."""
         if self.error is None:
-            return ()
+            return self.notes
         said, e = [], self.error
         if abs(e.frequency_scale - 1) > _SCALE:
             said.append(
@@ -151,7 +154,7 @@ class ToolObservation(Shown):
             for axis, p, r in zip(self.axes, e.whiteness.p_value, e.whiteness.correlation, strict=True)
             if p < _MIN_P
         ]
-        return tuple(said)
+        return (*self.notes, *(CodedWarning("model_contradicted", sentence) for sentence in said))
 
     def to_rows(self) -> list[dict[str, Any]]:
         """Return one row an axis: deflection [m], standard error and 95 % half-width [m], bias [m/s^2]."""

@@ -99,6 +99,11 @@ def describe_verdict(found: Calibration) -> Verdict:
             f"Do not use it: the held-out RMS error is {format_length(reached)}{also}, while the poses spread over "
             f"{format_length(found.poses.spread)}. Check units, joint columns, and whether frames were moved.",
         )
+    if len(found.models) == 1 and found.chosen.name == "frames":
+        return _judge(
+            "care",
+            f"Held-out RMS error {format_length(reached)} of the robot file as it is; no larger model was fitted.",
+        )
     if found.chosen is found.models[0]:
         return _judge("care", "No larger model has a smaller held-out error than the robot file.")
     if expected is None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -117,7 +118,8 @@ def present_learning(found: LearningStep) -> Presentation:
         Chapter("trial", "Last trial and correction", lambda: _build_trial(found)),
     ]
     settings = "no law" if found.gain is None else (
-        f"learns up to {found.cutoff_hz:g} Hz, gain {found.gain:g}, shift {found.shift} samples"
+        f"learns up to {found.cutoff_hz:g} Hz, gain {found.gain:g}, "
+        + ("inverse of the model" if found.shift is None else f"shift {found.shift} samples")
     )  # fmt: skip
     return Presentation(
         "Learning", ", ".join(found.joints), "Iterative learning: the next correction",
@@ -144,17 +146,21 @@ def _judge_learning(found: LearningStep) -> Verdict:
         return Verdict("good", f"The error is at its floor. {held}")
     growth = max(drive.largest_growth[2] for drive in found.drives)
     sentence = "No frequency grows" if growth < 1 else "A growth at some frequency is not excluded"
-    return Verdict("good" if growth < 1 else "care", f"{sentence}: at most {growth:.3g} times a trial (95 %). {held}")
+    return Verdict("good" if growth < 1 else "care", f"{sentence}: at most {growth:.4g} times a trial (95 %). {held}")
 
 
 def _milli(x: float) -> str:
     return format_fixed_digits(1e3 * x)
 
 
+def _describe_filter(row: Mapping[str, Any]) -> str:
+    return "inverse" if row["inverts"] else str(row["shift_samples"])
+
+
 def _build_learning(found: LearningStep) -> Iterator[Element]:
     rows = []
     for r in found.to_rows():
-        law = "none" if r["gain"] is None else f"{r['gain']:g}, {r['shift_samples']}, {r['cutoff_hz']:g} Hz"
+        law = "none" if r["gain"] is None else f"{r['gain']:g}, {_describe_filter(r)}, {r['cutoff_hz']:g} Hz"
         following = " to ".join(_milli(x) for x in r["expected_error_rms_ci95"])
         rows.append([r["joint"], _milli(r["error_rms"]), following, _milli(r["largest_correction"]), law, r["action"]])
     titles = ("joint", "RMS error", "next (95 %)", "largest correction", "gain, shift, cutoff", "action")

@@ -36,8 +36,8 @@ def present_motion_plan(plan: MotionPlan) -> r.Presentation:
 def _build_forces(plan: MotionPlan) -> Iterator[r.Element]:
     yield r.Figures([_draw_force(plan, k) for k in range(len(plan.joints))], on=r.On.DRAWN)
     yield r.explain(
-        "The model's forces for the motion, friction included. Dashed: the limit. In the shortest time at least one "
-        "drive is at its limit nearly always."
+        "The model's forces for the motion, friction included. Dashed: the limit. At least one drive is at its limit for "
+        f"{r.format_percent(100 * plan.share_at_force_limit)} of the time."
     )
     reached = [
         f"{b.quantity} of {b.joint}, {r.format_percent(100 * b.share)} of {plan.duration:.3f} s" for b in plan.binding
@@ -162,7 +162,7 @@ def _build_view(plan: MotionPlan, k: int) -> r.View:
 
 def describe_headline(plan: MotionPlan) -> str:
     """Return a sentence with the duration and the minimised cost."""
-    aim = "the shortest time" if plan.energy_weight == 0 else f"least effort at weight {plan.energy_weight:.3g}"
+    aim = "the shortest time found" if plan.energy_weight == 0 else f"least effort at weight {plan.energy_weight:.3g}"
     return f"{plan.duration:.4f} s, {aim} {_WAYS[plan.path]}."
 
 
@@ -170,14 +170,18 @@ _WAYS = {"free": "on a path of its own choice", "line": "on a straight line", "p
 
 
 def describe_verdict(plan: MotionPlan) -> r.Verdict:
-    """Return the verdict, with the limits that determine the duration."""
+    """Return the verdict, with the limits that are reached."""
+    if plan.exceeds:
+        return r.Verdict(
+            "care", f"It leaves a limit by up to {100 * plan.excess:.2g} % between the nodes.", "Exceeds a limit"
+        )
     if not plan.binding:
         if plan.energy_weight > 0:
             return r.Verdict("good", f"It reaches no limit at effort weight {plan.energy_weight:.3g}.", "Within limits")
         return r.Verdict("care", "It reaches no limit, although only the time is minimised.", "Within limits")
     reached = [f"{b.quantity} of {b.joint} ({r.format_percent(100 * b.share)} of the time)" for b in plan.binding]
     more = f" and {len(reached) - 4} more" if len(reached) > 4 else ""
-    return r.Verdict("good", f"What holds it back: {r.format_list(reached[:4])}{more}.", "Within limits")
+    return r.Verdict("good", f"Limits reached: {r.format_list(reached[:4])}{more}.", "Within limits")
 
 
 def describe_path(plan: MotionPlan) -> str:
