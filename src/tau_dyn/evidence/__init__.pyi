@@ -67,6 +67,7 @@ from .judge import (
 )
 from .lack_of_fit import (
     MAX_MISSED_SHARE as MAX_MISSED_SHARE,
+    MIN_NOISE_RATIO as MIN_NOISE_RATIO,
     MIN_STRUCTURED_SHARE as MIN_STRUCTURED_SHARE,
     PoorFit as PoorFit,
     describe_poor_fits as describe_poor_fits,

@@ -36,8 +36,8 @@ MIN_MISSED_MOTION = 0.005
 """Share of a joint's distance from its command, beyond the encoder's noise, from which a simulation lacks an effect. In
 simulated hobby servos 0.1 to 0.6 % is left with the true law, 1.6 to 3.5 % without its back EMF, 4 to 17 % with a gain of 1.4
 times the true one (worst joint of each arm)."""
-MIN_NOISE_RATIO = 2.0
-"""Residual over the encoder's noise from which a simulation lacks an effect: three quarters of the variance are not noise."""
+MIN_NOISE_RATIO = 1.5
+"""Residual over the encoder's noise from which a simulation lacks an effect: more than half of the variance is not the encoder's."""
 LEVEL = 1e-3
 """Significance level, over all joints, of a residual beyond noise."""
 SEGMENT_ROWS = 16

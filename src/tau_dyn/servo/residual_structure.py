@@ -15,7 +15,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from tau_dyn.estimate import RegressionRun
-from tau_dyn.evidence import EVERY, Measurements, Unexplained, find_unexplained
+from tau_dyn.evidence import EVERY, MIN_NOISE_RATIO, Measurements, Unexplained, find_unexplained
 from tau_dyn.log import estimate_encoder_noise
 from tau_dyn.parameters import Parameter, Parameters
 from tau_dyn.servo.records import MOTION_HZ, LoopRecord
@@ -24,9 +24,6 @@ RESIDUAL_HZ = 5 * MOTION_HZ
 """Lowest rate to which residuals are averaged [Hz]: no variable has content above `MOTION_HZ`."""
 COLOUR_LEVEL = 0.01
 """Significance level of the portmanteau test of a joint."""
-MIN_FLOOR_RATIO = 1.5
-"""Ratio of residual to floor from which correlation without a cause is reported: more than half of the variance is not the
-encoder's."""
 MAX_LAG_S = 0.5  # over which autocorrelations are tested
 
 
@@ -116,7 +113,7 @@ def _find_colour(joint: str, part: LoopResidual, j: int, floor: float) -> Unexpl
     x = residual[:, j] * np.stack([np.pad(r.used, (0, len(residual) - len(r.t))) for r in records], axis=1)
     count = int(sum(r.used.sum() for r in records))
     rms = float(np.sqrt((x**2).sum() / max(count, 1)))
-    if floor <= 0 or rms < MIN_FLOOR_RATIO * floor:
+    if floor <= 0 or rms < MIN_NOISE_RATIO * floor:
         return None
     lags = int(np.clip(MAX_LAG_S / records[0].dt, 5, 100))
     rho = np.array([(x[lag:] * x[:-lag]).sum() for lag in range(1, lags + 1)]) / (x**2).sum()
