@@ -318,7 +318,7 @@ WARNING_CODES: dict[str, MessageCode] = {
         "give each recording once; hold out a recording of its own",
     ),
     "poor_fit": MessageCode(
-        "over a fifth of a joint's force is neither fitted nor noise, or a simulated loop is off by 1.5 times its encoder's noise",
+        "over a fifth of a joint's force is neither fitted nor noise, or a simulated loop is off by 1.5 times the encoder's",
         "`check` and `diagnose`; sign, unit and order of columns",
     ),
     "repeated_samples": MessageCode("samples are repeated or stale", "log each sample once; they are left out"),

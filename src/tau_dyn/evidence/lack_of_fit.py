@@ -37,7 +37,7 @@ MIN_MISSED_MOTION = 0.005
 simulated hobby servos 0.1 to 0.6 % is left with the true law, 1.6 to 3.5 % without its back EMF, 4 to 17 % with a gain of 1.4
 times the true one (worst joint of each arm)."""
 MIN_NOISE_RATIO = 1.5
-"""Residual over the encoder's noise from which a simulation lacks an effect: more than half of the variance is not the encoder's."""
+"""Residual over the encoder's noise from which a simulation lacks an effect: more than half of its variance is no noise."""
 LEVEL = 1e-3
 """Significance level, over all joints, of a residual beyond noise."""
 SEGMENT_ROWS = 16
