@@ -40,7 +40,7 @@ def _add_text(case: Case, layout: Layout, head: list[str], rows: list[list[str]]
 
 
 def _repeat_header(case: Case, layout: Layout, head: list[str], rows: list[list[str]], k: int) -> Case:
-    return _spoil(case, layout, head, [*rows[:k], head, *rows[k:]], ("bad_sample",), "is not a number", "scale")
+    return _spoil(case, layout, head, [*rows[:k], head, *rows[k:]], ("file_format",), "repeats the header", "scale")
 
 
 def _add_cell(case: Case, layout: Layout, head: list[str], rows: list[list[str]], k: int) -> Case:

@@ -9,6 +9,9 @@ tau = Feedforward.load("extended.yaml")(q, v, a)
 
 from importlib import import_module
 
+import_module("tau_dyn.early_interrupt")  # first: Ctrl-C while the command loads
+
+# isort: split
 from lazy_loader import attach_stub
 
 from tau_dyn.version import __version__ as __version__
