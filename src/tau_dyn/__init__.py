@@ -11,10 +11,9 @@ from importlib import import_module
 
 import_module("tau_dyn.early_interrupt")  # first: Ctrl-C while the command loads
 
-# isort: split
-from lazy_loader import attach_stub
+from lazy_loader import attach_stub  # noqa: E402
 
-from tau_dyn.version import __version__ as __version__
+from tau_dyn.version import __version__ as __version__  # noqa: E402
 
 # Loading a package binds its name here, once. Deleted, the name is that of the function, which the stub gives on first use.
 for _package in ("calibrate", "diagnose", "identify", "simulate"):

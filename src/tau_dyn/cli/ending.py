@@ -23,7 +23,7 @@ from io import TextIOWrapper
 from types import FrameType, TracebackType
 from typing import Any
 
-from tau_dyn.early_interrupt import INTERRUPTED, is_ours_or_default, leave_at_interrupt
+from tau_dyn.early_interrupt import INTERRUPTED as INTERRUPTED, is_ours_or_default, leave_at_interrupt
 from tau_dyn.exceptions import InputError
 
 ASKED = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))

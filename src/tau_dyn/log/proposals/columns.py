@@ -92,18 +92,19 @@ class ColumnProposal:
         return {"log": self.log, "joints": list(self.robot_joints), "columns": dict(self.entries), **more}
 
 
-def propose_columns(path: str | Path, robot: JointLimits) -> ColumnProposal:
+def propose_log_columns(path: str | Path, robot: JointLimits, *, is_part: bool = False) -> ColumnProposal:
     """Propose a column map for a log of a robot.
 
     Args:
         path: The log, in any format that `read_log` reads.
         robot: Its actuated joints with their kinds and limits.
+        is_part: Whether other files of the recording may hold the positions or torques; their lack is no doubt then.
 
     Raises:
         InputError: The log cannot be read.
         CannotAnswer: No column except the clock holds numbers.
     """
-    table = _read(Path(path))
+    table = read_columns(Path(path))
     table, draft = _choose_episode(table)
     own = {f"cmd_{joint}" for joint in robot.actuated}  # which keep their name
     values = {c: x for c in table.cells if c not in own and (x := _find_numbers(table, c)) is not None}
@@ -122,12 +123,13 @@ def propose_columns(path: str | Path, robot: JointLimits) -> ColumnProposal:
     else:
         groups = find_groups([c for c in values if c not in named], robot.actuated, Path(path).stem)
     q, positions = _propose_positions(table, groups, recorded, robot)
-    draft += positions
+    draft += positions if q.columns or not is_part else _Draft({}, [])
     draft += _propose_velocities(groups, recorded, q, robot)
-    draft += _propose_forces(groups, recorded, robot)
+    forces = _propose_forces(groups, recorded, robot)
+    draft += forces if forces.entries or not is_part else _Draft({}, [])
     draft += _propose_references(groups, recorded, q, robot)
-    template = () if q.columns else _write_template(table, values, draft.entries, robot)
-    if q.columns:
+    template = () if q.columns or is_part else _write_template(table, values, draft.entries, robot)
+    if q.columns and not is_part:
         draft += _name_gaps(table, draft.entries, robot)
         if t is not None:  # else the missing clock is listed already
             draft += _read_back(Path(path), draft.entries, robot)
@@ -244,7 +246,7 @@ def _pair(chosen: ColumnGroup | None, joints: Sequence[str]) -> tuple[dict[str, 
     return found, [CodedWarning("column_unsure", sentence) for sentence in sentences]
 
 
-def _read(path: Path) -> Table:
+def read_columns(path: Path) -> Table:
     """Read all columns, as a map's reader does."""
     return read_any(path) if has_topics(path) else read_any(path, {})
 
