@@ -40,6 +40,7 @@ from tau_dyn.log.column_names import (
     is_blank,
     list_used_columns,
     split_column_name,
+    split_signal,
 )
 from tau_dyn.log.log import Log, Origin
 from tau_dyn.log.rosbag_log import is_bag_folder, read_bag
@@ -316,7 +317,7 @@ def _read_clock(table: Table, source: Source | None) -> Clock:
             raise InputError("time_stamps", f"{table.name}, column {column}: {coarse}.")
         return clock._replace(remark=f"{table.name}: column {column} {clock.remark}.")
     scale, offset = (1.0, 0.0) if source is None else (source.scale, source.offset)
-    if scale == 1.0:
+    if scale == 1.0 and not (source is not None and source.is_si):
         _refuse_unit(table, column, "t")
     numbers = table.numbers(column, scale, gaps=True)
     if scale == 1.0 and find_day_numbers(numbers):
@@ -431,8 +432,8 @@ def _same_length(tables: dict[str | None, Table]) -> tuple[dict[str | None, Tabl
 def _theirs(tables: Mapping[str | None, Table], map_: ColumnMap, ours: str, gaps: bool = False) -> NDArray[np.float64]:
     source = map_.sources[ours]
     table = tables[source.file]
-    is_coupled = any(ours.removeprefix(f"{signal}_") in c.joints for signal, c in map_.couplings.items())
-    if source.scale == 1.0 and not is_coupled:  # a coupling's matrix may hold the scale
+    is_coupled = split_signal(ours) in map_.couplings
+    if source.scale == 1.0 and not source.is_si and not is_coupled:  # a coupling's matrix may hold the scale
         _refuse_unit(table, source.column, ours)
     if source.column not in table.cells:
         raise InputError(

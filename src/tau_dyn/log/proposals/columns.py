@@ -128,7 +128,7 @@ def propose_log_columns(path: str | Path, robot: JointLimits, *, is_part: bool =
     forces = _propose_forces(groups, recorded, robot)
     draft += forces if forces.entries or not is_part else _Draft({}, [])
     draft += _propose_references(groups, recorded, q, robot)
-    template = () if q.columns or is_part else _write_template(table, values, draft.entries, robot)
+    template = () if q.columns or is_part else _write_template(table, recorded, draft.entries, robot)
     if q.columns and not is_part:
         draft += _name_gaps(table, draft.entries, robot)
         if t is not None:  # else the missing clock is listed already
@@ -146,8 +146,8 @@ class _Recorded(NamedTuple):
 
     def find_scale(self, column: str, kind: str) -> float | None:
         """Return the size in SI of the unit that a column's name or its unit gives; None without one."""
-        unit = self.units.get(column, "").replace("°", "deg").partition("/")[0]
-        return find_named_scale(f"{column} {unit}", kind)
+        unit = self.units.get(column, "").partition("/")[0]
+        return find_named_scale(f"{column} {unit}".replace("°", "deg"), kind)
 
 
 def _read_back(path: Path, entries: Mapping[str, Any], robot: JointLimits) -> _Draft:
@@ -167,7 +167,7 @@ MAX_TEMPLATE_COLUMNS = 60
 
 
 def _write_template(
-    table: Table, values: Mapping[str, NDArray[np.float64]], entries: Mapping[str, Any], robot: JointLimits
+    table: Table, recorded: _Recorded, entries: Mapping[str, Any], robot: JointLimits
 ) -> tuple[str, ...]:
     """Return the lines of a map that a person has to complete, and the numeric columns with their ranges.
 
@@ -176,6 +176,7 @@ def _write_template(
         CannotAnswer: There is no column of numbers except the clock.
     """
     refuse_signals_in_rows(table)
+    values = recorded.values
     free = [column for column in values if column not in _list_named(entries)]
     if not free:
         joints = robot.actuated
@@ -187,7 +188,12 @@ def _write_template(
         )
     wanted = [f"{signal}_{joint}" for signal in ("q", "tau") for joint in robot.actuated]
     lines = [f"# {ours}: {{column: COLUMN, scale: 1.0}}" for ours in wanted if ours not in entries]
-    ranges = [f"{column} ({values[column].min():.4g} to {values[column].max():.4g})" for column in free]
+    scales = {
+        c: next((x for kind in ("q", "tau") if (x := recorded.find_scale(c, kind)) not in (None, 1.0)), 1.0)
+        for c in free
+    }
+    units = {c: f"; scale: {scale:.9g} by its unit" for c, scale in scales.items() if scale != 1.0}
+    ranges = [f"{c} ({values[c].min():.4g} to {values[c].max():.4g}{units.get(c, '')})" for c in free]
     more = [f"{len(free) - MAX_TEMPLATE_COLUMNS} more"] if len(free) > MAX_TEMPLATE_COLUMNS else []
     return (
         "# Complete a line for each joint and remove its # (rad, m, N m, N).",
@@ -572,7 +578,7 @@ def _propose_forces(groups: Sequence[ColumnGroup], recorded: _Recorded, robot: J
         sentence = f"{asked.columns[0]} is the controller's reference, not a measurement, and is not mapped."
         doubts.append(CodedWarning("column_unsure", sentence))
     if current is None and asked is None:
-        sentence = "No column is a torque; without one `identify` needs the controller."
+        sentence = "No column has the name of a torque; without one `identify` needs the controller."
         doubts.append(CodedWarning("column_missing", sentence))
     return _Draft({}, doubts)
 
