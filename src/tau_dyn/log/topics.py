@@ -198,7 +198,7 @@ class _Clock:
             said = [
                 CodedWarning(
                     "stamps_chosen",
-                    f"{self.name}: t is the stamp in the messages of {main.name}, from its first on, not when they were "
+                    f"{self.name}: t is the stamp in the messages of {main.name} from the first on, not the time at which they were "
                     "recorded.",
                 )
             ]
