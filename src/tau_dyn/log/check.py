@@ -254,7 +254,7 @@ def check_log(log: LogSource, robot: JointLimits | None = None) -> LogCheck:
     """
     log = as_log(log)
     if robot is not None:
-        require_kind(robot, JointLimits, "robot", "what load_robot returns")
+        require_kind(robot, JointLimits, "robot", "a Robot")
     joints = () if robot is None else robot.actuated
     used = _choose_used(log, joints)
     findings, numbers = check_clock(log, used)
