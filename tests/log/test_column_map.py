@@ -219,8 +219,13 @@ def test_the_emps_log_is_read_in_newtons():
 
 @pytest.mark.parametrize(
     ("ours", "column", "scale"),
-    [("q_axis", "pos [deg]", "0.0174532925"), ("t", "time_ms", "0.001"), ("tau_axis", "torque [mNm]", "0.001"), ("v_axis", "speed_rpm", "0.104719755")],
-)  # fmt: skip
+    [
+        ("q_axis", "pos [deg]", "0.0174532925"),
+        ("t", "time_ms", "0.001"),
+        ("tau_axis", "torque [mNm]", "0.001"),
+        ("v_axis", "speed_rpm", "0.104719755"),
+    ],
+)
 def test_a_unit_in_a_name_needs_its_scale(ours: str, column: str, scale: str) -> None:
     """Degrees are not read as radians because a map has no scale; a scale of 1 that is written out decides."""
     with raises_code("file_format", f"{ours} takes {column}", f"scale: {scale}}}"):
