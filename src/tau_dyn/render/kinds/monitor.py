@@ -178,7 +178,8 @@ def _draw_trace(found: WatchResult) -> Iterator[r.Element]:
                 r.View(log, "", t, (r.build_strip("share of threshold", 180, r.Curve("statistic", "measured", x)),))
             )
     if views:
-        yield r.TimeView("largest statistic over its threshold, over time", views, [r.Key("measured", "largest statistic; 1 is an alarm")])
+        key = r.Key("measured", "largest statistic; 1 is an alarm")
+        yield r.TimeView("largest statistic over its threshold, over time", views, [key])
 
 
 @present_kind.register
