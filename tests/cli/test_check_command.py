@@ -51,3 +51,18 @@ def test_the_files_of_a_folder_are_checked_by_a_proposed_map(tmp_path: Path, cap
     assert "compared with the masses" in told and "clock of drive.csv" in told
     assert main(["check", str(folder), "linear_axis"]) == 2
     assert "`tau-dyn columns FOLDER ROBOT` proposes a map" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "mass", ["", '<inertial><mass value="95"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>']
+)
+def test_a_robot_file_without_masses_is_not_compared(tmp_path: Path, capsys, mass: str) -> None:
+    """A robot file without masses has nothing to compare forces with."""
+    file = tmp_path / "slide.urdf"
+    file.write_text(
+        f'<robot name="slide"><link name="base"/><link name="cart">{mass}</link><joint name="axis" type="prismatic">'
+        '<parent link="base"/><child link="cart"/><axis xyz="1 0 0"/>'
+        '<limit lower="-1" upper="1" velocity="2" effort="2000"/></joint></robot>'
+    )
+    assert main(["check", write(tmp_path / "a.csv", "t,q_axis,tau_axis", T, Q, TAU), str(file)]) == 0
+    assert ("compared with the masses" in " ".join(capsys.readouterr().out.split())) is bool(mass)
