@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,7 @@ import pandas as pd
 import pytest
 
 import tau_dyn as td
+from tau_dyn import by_measurement
 
 T = np.arange(0.0, 4.0, 0.01)
 WRONG = {
@@ -100,3 +103,15 @@ def test_a_wrong_kind_is_an_error_of_ours(call, tmp_path, monkeypatch):
             foreign[kind] = repr(fault)
     assert not foreign
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("function", "options"), [(td.identify, "IdentifyOptions"), (td.diagnose, "ForceOptions")])
+def test_help_names_each_option(function: Callable[..., Any], options: str) -> None:
+    """`help` shows the signature `**options`; its text names the options that type checkers know, and no object's address."""
+    text = inspect.getdoc(function) or ""
+    listed = re.split(r", as\s+`", text.partition("**options: ")[2])[0]
+    known = inspect.get_annotations(by_measurement.ForceOptions) | inspect.get_annotations(
+        getattr(by_measurement, options)
+    )
+    assert set(re.findall(r"`(\w+)`", listed)) == set(known)
+    assert " at 0x" not in str(inspect.signature(function))

@@ -29,8 +29,6 @@ def _add_units(case: Case, layout: Layout, head: list[str], rows: list[list[str]
 
 def _add_degrees(case: Case, layout: Layout, head: list[str], rows: list[list[str]], k: int) -> Case:
     units = ["deg" if name.startswith("q_") else "Nm" if name.startswith("tau_") else "" for name in head]
-    if case.map is not None or not head[0].startswith("t"):
-        return _add_units(case, layout, head, rows, k)
     return _spoil(case, layout, head, [units, *rows], ("file_format",), "scale")
 
 
@@ -40,14 +38,15 @@ def _add_text(case: Case, layout: Layout, head: list[str], rows: list[list[str]]
 
 
 def _repeat_header(case: Case, layout: Layout, head: list[str], rows: list[list[str]], k: int) -> Case:
-    return _spoil(case, layout, head, [*rows[:k], head, *rows[k:]], ("bad_sample",), "is not a number", "scale")
+    return _spoil(case, layout, head, [*rows[:k], head, *rows[k:]], ("file_format",), "repeats the header", "scale")
 
 
 def _add_cell(case: Case, layout: Layout, head: list[str], rows: list[list[str]], k: int) -> Case:
     rows[k] = [*rows[k], "0"]
-    if layout.end:  # the header has a nameless column, which only that row fills
-        return _spoil(case, layout, head, rows, ("missing_column",), "has no name")
-    return _spoil(case, layout, head, rows, ("file_format",), "cells, the header names")
+    if layout.end:  # the header has a nameless column, which only that row fills; a map's reader names it by its number
+        codes, words = ("missing_column", "file_format"), ("has no name", "cells, the header has")
+        return _spoil(case, layout, head, rows, codes, *words)
+    return _spoil(case, layout, head, rows, ("file_format",), "cells, the header has")
 
 
 def _repeat_name(case: Case, layout: Layout, head: list[str], rows: list[list[str]], k: int) -> Case:

@@ -9,9 +9,11 @@ tau = Feedforward.load("extended.yaml")(q, v, a)
 
 from importlib import import_module
 
-from lazy_loader import attach_stub
+import_module("tau_dyn.early_interrupt")  # first: Ctrl-C while the command loads
 
-from tau_dyn.version import __version__ as __version__
+from lazy_loader import attach_stub  # noqa: E402
+
+from tau_dyn.version import __version__ as __version__  # noqa: E402
 
 # Loading a package binds its name here, once. Deleted, the name is that of the function, which the stub gives on first use.
 for _package in ("calibrate", "diagnose", "identify", "simulate"):

@@ -23,7 +23,16 @@ from tau_dyn.servo import LoopIdentification, LoopOptions, diagnose_loop, identi
 from tau_dyn.simulate import ServoLaw, read_servo_law
 
 Controller = ServoLaw | str | Path | None
-_NOT_SAID: Any = object()
+
+
+class _NotGiven:
+    """The default of an argument for which None has a meaning; its text is shown by `help`."""
+
+    def __repr__(self) -> str:
+        return "<not given>"
+
+
+_NOT_GIVEN: Any = _NotGiven()
 
 
 class ForceOptions(TypedDict, total=False):
@@ -95,7 +104,7 @@ def identify(robot: Robot | str | Path, logs: Logs, **options: Unpack[IdentifyOp
 def identify(
     robot: Robot | str | Path, logs: Logs, *, controller: Controller, **options: Unpack[LoopOptions]
 ) -> LoopIdentification: ...
-def identify(robot: Robot | str | Path, logs: Logs, *, controller: Controller = _NOT_SAID, **options: Any) -> Any:
+def identify(robot: Robot | str | Path, logs: Logs, *, controller: Controller = _NOT_GIVEN, **options: Any) -> Any:
     """Identify a robot's parameters from logs of forces, or, without forces, through its servo loops.
 
     Args:
@@ -104,7 +113,8 @@ def identify(robot: Robot | str | Path, logs: Logs, *, controller: Controller = 
             the path of a file, or a table of pandas.
         controller: The servo's law or its file, for logs without forces; None to estimate its gains. If it is passed, even as
             None, type checkers infer a `LoopIdentification`.
-        **options: Those of `tau_dyn.identify.identify`, or of `tau_dyn.servo.LoopOptions`.
+        **options: `holdout`, `model`, `choices`, `preparation`, `exclude`, `seed`, `progress`, `per_log` and `estimator`, as
+            `IdentifyOptions` describes them; those of `tau_dyn.servo.LoopOptions` for logs without forces.
 
     Raises:
         InputError: A log, the model, the law or a choice is invalid.
@@ -142,7 +152,7 @@ def diagnose(
     robot: Robot | Identification | LoopIdentification | str | Path,
     logs: Logs = (),
     *,
-    controller: Controller = _NOT_SAID,
+    controller: Controller = _NOT_GIVEN,
     **options: Any,
 ) -> Any:
     """Find the errors of a model and their causes, from logs of forces or, without forces, through the servo loops.
@@ -151,7 +161,8 @@ def diagnose(
         robot: The robot, its file's path or a short name; or an identification, whose logs (and law) are then taken.
         logs: Logs to train on, with `q_J` and `tau_J` of every actuated joint; or with `q_J` and `cmd_J` and no force.
         controller: The servo's law or its file, for logs without forces; None if it is unknown.
-        **options: Those of `tau_dyn.diagnose.diagnose`, or of `tau_dyn.servo.LoopOptions`.
+        **options: `holdout`, `model`, `choices`, `preparation`, `exclude`, `seed` and `progress`, as `ForceOptions` describes
+            them; those of `tau_dyn.servo.LoopOptions` for logs without forces.
 
     Raises:
         InputError: A log, the model, the law or a choice is invalid.
@@ -169,7 +180,7 @@ def diagnose(
     """
     if isinstance(robot, LoopIdentification):
         start = robot.start[0]
-        law = start.law if controller is _NOT_SAID else controller
+        law = start.law if controller is _NOT_GIVEN else controller
         return diagnose(start.model.robot, logs or robot.logs, controller=law, **options)
     machine = robot if isinstance(robot, Identification) else as_robot(robot)
     given = get_log_list(logs)
@@ -239,12 +250,12 @@ def _list_other_drives(robot: Robot) -> list[Robot]:
 
 
 def _read_law(controller: Controller, robot: Robot) -> LoopOptions:
-    if controller is _NOT_SAID or controller is None:
+    if controller is _NOT_GIVEN or controller is None:
         return {}
     return {"law": controller if isinstance(controller, ServoLaw) else read_servo_law(controller, robot)}
 
 
 def _refuse_law(controller: Controller, logs: Sequence[Log | Recording]) -> None:
-    if controller is not _NOT_SAID and controller is not None:
+    if controller is not _NOT_GIVEN and controller is not None:
         name = logs[0].name if logs else "no log"
         raise InputError("bad_option", f"a controller goes with logs of commands without forces; {name} is none")

@@ -161,7 +161,7 @@ def test_the_price_of_what_a_file_leaves_out(tmp_path, monkeypatch, capsys) -> N
     row = {"path": "log.csv", "sha256": hashlib.sha256((tmp_path / "log.csv").read_bytes()).hexdigest()}
     for use, said in (
         ("held_out", "held-out force error is"),
-        ("trained_on", "what is left out is"),
+        ("trained_on", "the file leaves out"),
         ("none", "unknown"),
     ):
         replace(with_drag, provenance={use: [row]}).save("m.yaml")
@@ -264,7 +264,7 @@ def test_a_log_that_cannot_be_read_costs_the_price_alone(mapped, tmp_path) -> No
         "log.csv",
     ):
         found = describe_price(replace(model, provenance={"trained_on": [odd]}), [model], mapped)
-        assert found.startswith("what that costs is unknown")
+        assert found.startswith("the loss of accuracy is unknown")
 
 
 def test_meshes_resolve_from_another_folder(mapped, tmp_path, monkeypatch) -> None:

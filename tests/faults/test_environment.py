@@ -82,3 +82,21 @@ def test_an_interrupt_while_it_loads_is_a_sentence(tmp_path: Path):
         running.send_signal(signal.SIGINT)
         out, err = running.communicate(timeout=60)
     assert (running.returncode, out, err) == (130, "", "interrupted; every output file is as it was, or complete\n")
+
+
+@pytest.mark.parametrize(("program", "status"), [("tau-dyn", 130), ("mine.py", 7)])
+def test_an_interrupt_of_the_first_import_is_a_sentence(program: str, status: int):
+    """Ctrl-C while the package's own first modules load ends `tau-dyn` in one line, and stays an exception in other programs."""
+    code = (
+        f"import importlib.abc, os, signal, sys\nsys.argv = ['/usr/bin/{program}', 'robots']\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "class Finder(importlib.abc.MetaPathFinder):\n"
+        "    def find_spec(self, name, path, target=None):\n"
+        "        if name == 'lazy_loader':\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Finder())\n"
+        "try:\n    from tau_dyn.cli import main\nexcept KeyboardInterrupt:\n    os._exit(7)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    sentence = "interrupted; every output file is as it was, or complete\n" if program == "tau-dyn" else ""
+    assert (done.returncode, done.stderr) == (status, sentence)

@@ -80,3 +80,15 @@ def test_options_that_do_not_exist_are_named(log) -> None:
         td.identify("linear_axis", log, hold_out=log)  # type: ignore[call-overload]
     with raises_code("invalid_value", "no robot"):
         td.identify(log, "linear_axis")  # type: ignore[call-overload]
+
+
+def test_a_notebook_shows_a_figure_as_a_picture(log, model) -> None:
+    """Without pyplot a notebook asks the figure itself for a picture: a PNG of the figure's size in dots."""
+    from struct import unpack
+
+    pytest.importorskip("matplotlib")
+    figure = td.compare_fit(model, log).plot()
+    picture = figure._repr_png_()
+    width, height = unpack(">II", picture[16:24])
+    assert picture[:8] == b"\x89PNG\r\n\x1a\n"
+    assert (width, height) == tuple(int(x) for x in figure.get_size_inches() * figure.dpi)

@@ -215,3 +215,21 @@ def test_the_emps_log_is_read_in_newtons():
     assert log.n_samples == 24841 and log.rate_hz == pytest.approx(1000, rel=1e-6)
     assert 0.2 < np.ptp(log.channels["q_axis"]) < 0.3
     assert 50 < np.abs(log.channels["tau_axis"]).max() < 351.6
+
+
+@pytest.mark.parametrize(
+    ("ours", "column", "scale"),
+    [
+        ("q_axis", "pos [deg]", "0.0174532925"),
+        ("t", "time_ms", "0.001"),
+        ("tau_axis", "torque [mNm]", "0.001"),
+        ("v_axis", "speed_rpm", "0.104719755"),
+    ],
+)
+def test_a_unit_in_a_name_needs_its_scale(ours: str, column: str, scale: str) -> None:
+    """Degrees are not read as radians because a map has no scale; a scale of 1 that is written out decides."""
+    with raises_code("file_format", f"{ours} takes {column}", f"scale: {scale}}}"):
+        ColumnMap.from_dict({"q_other": "x", ours: column})
+    given = ColumnMap.from_dict({"q_other": "x", ours: {"column": column, "scale": 1}})
+    assert given.sources[ours].scale == 1.0
+    assert ColumnMap.from_dict(given.to_dict()).sources[ours] == given.sources[ours]

@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_allclose
 from raising import raises_code
 
-from tau_dyn.log import Log, check_log, open_log, read_log
+from tau_dyn.log import ColumnMap, Log, check_log, open_log, read_log
 from tau_dyn.message_codes import get_code
 
 N = 400
@@ -124,6 +124,22 @@ def test_units_other_than_si_ask_for_a_map(tmp_path) -> None:
     path = write_rows(tmp_path / "a.csv", get_numbers(), below="s,deg,N m")
     with raises_code("file_format", "q_axis: {column: q_axis, scale: 0.0174532925}"):
         read_log(path)
+
+
+@pytest.mark.parametrize(("key", "line"), [("q_axis", "scale: 0.0174532925"), ("t", "scale: 0.001")])
+def test_a_map_without_a_scale_does_not_make_degrees_radians(tmp_path, key: str, line: str) -> None:
+    """Units below the header that differ from SI need the map's scale; with it the samples are those in SI."""
+    path = write_rows(tmp_path / "a.csv", get_numbers(), head="clock,angle,torque", below="ms,deg,N m")
+    lines = {
+        "t": {"column": "clock", "scale": 0.001},
+        "q_axis": {"column": "angle", "scale": 0.0174532925},
+        "tau_axis": "torque",
+    }
+    log = read_log(path, ColumnMap.from_dict(lines))
+    assert_allclose(log.channels["q_axis"], np.radians(Q), rtol=0, atol=1e-8)
+    assert_allclose(log.t - log.t[0], 1e-3 * T, rtol=0, atol=1e-9)
+    with raises_code("file_format", f"`{key}: {{column: ", line):
+        read_log(path, ColumnMap.from_dict({**lines, key: lines[key]["column"]}))
 
 
 def get_stamps(form: Callable[[datetime.datetime], str]) -> list[str]:

@@ -174,3 +174,12 @@ def test_no_blanks_at_line_ends(found, truth, fine):
         print_result(console, check_log(fine), log=fine)
         plain = re.sub(r"\x1b\[[0-9;]*m", "", stream.getvalue())
         assert not [line for line in plain.splitlines() if line != line.rstrip()]
+
+
+@pytest.mark.parametrize(("at", "text"), [(-1.688e-16, "y = 0 m"), (-0.25, "y = -0.25 m"), (4.441e-21, "y = 0 m")])
+def test_a_section_through_a_rounding_error_is_one_through_zero(at: float, text: str) -> None:
+    """A plane that is 1e-16 m away from the origin goes through it."""
+    from tau_dyn.kinematics.workspace.study import Section
+
+    none = np.zeros(0)
+    assert Section(1, at, 0, 2, none, none, none, 0.0).name == text

@@ -21,8 +21,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from io import TextIOWrapper
 from types import FrameType, TracebackType
-from typing import Any, NoReturn
+from typing import Any
 
+from tau_dyn.early_interrupt import INTERRUPTED as INTERRUPTED, is_ours_or_default, leave_at_interrupt
 from tau_dyn.exceptions import InputError
 
 ASKED = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
@@ -44,9 +45,6 @@ _MACHINE = {
 
 _NO_MEMORY = ("failed to map segment", "annot allocate memory", "can't start new thread")
 """Words of errors that the system's loader and Python raise under a limit of memory (`ulimit -v`)."""
-
-INTERRUPTED = "interrupted; every output file is as it was, or complete"
-
 
 _AGAIN_S = 0.05
 """Delay before a lost signal is sent again [s]."""
@@ -197,14 +195,14 @@ class QuietStart:
         self._hidden = warnings.catch_warnings(action="ignore")
         self._hidden.__enter__()
         self._hook, sys.excepthook = sys.excepthook, self._end
-        self._before: Any = None
-        if _in_main_thread() and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-            self._before = signal.signal(signal.SIGINT, _leave)
+        self._is_ours = _in_main_thread() and is_ours_or_default()
+        if self._is_ours:
+            signal.signal(signal.SIGINT, leave_at_interrupt)
 
     def over(self) -> None:
         """Restore Python's own handler of Ctrl-C, its filters of warnings and its display of errors."""
-        if self._before is not None:
-            signal.signal(signal.SIGINT, self._before)
+        if self._is_ours:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
         sys.excepthook = self._hook
         self._hidden.__exit__(None, None, None)
 
@@ -215,12 +213,6 @@ class QuietStart:
             return
         say(f"error: {sentence}")
         raise SystemExit(2)
-
-
-def _leave(number: int, frame: FrameType | None) -> NoReturn:
-    """End the program at once: an exception would be wrapped or lost by the import that it interrupts."""
-    say(INTERRUPTED)
-    os._exit(128 + number)
 
 
 def _importing(frame: FrameType | None) -> bool:

@@ -46,13 +46,16 @@ def check(
             machine = robot_options.hold_silent_joints(machine, robot, [read])
             said = [sentence for sentence in machine.warnings if sentence not in known]
 
-            from tau_dyn.identify import check_against_robot, complete_positions
+            from tau_dyn.identify import check_against_robot, complete_positions, is_diagnosis_invalid
+            from tau_dyn.log import list_data_warnings
 
             (read,) = complete_positions(machine, [read])
         checked = check_robot_log(read, machine)
-        if machine is not None and not machine.base_coordinates:
-            step("holding the log against the robot file")
-            checked = checked.with_faults(check_against_robot(machine, [read]))
+        if machine is not None and not machine.base_coordinates and read.has("tau", machine.actuated):
+            step("comparing the log with the robot file")
+            with_masses = any(link.nominal[0] > 0 for link in machine.links)
+            is_compared = with_masses and not is_diagnosis_invalid(list_data_warnings(read, machine.driven))
+            checked = checked.with_faults(check_against_robot(machine, [read]), is_compared)
 
     refusal = _name_faults(checked)
     return Outcome(

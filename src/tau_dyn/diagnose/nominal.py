@@ -195,7 +195,9 @@ def _build_finding(model: Model, found: Explanation, score: float) -> Finding:
         mass, *centre = parameters
         sentence = f"The robot carries {format_quantity(mass.value, 'kg', mass.stderr)}"
         if centre:
-            place = ", ".join(f"{c.value:.3f}" + ("" if c.stderr is None else f" ± {c.stderr:.3f}") for c in centre)
+            values = [f"{round(c.value, 3) + 0.0:.3f}" for c in centre]  # no minus sign before a zero
+            errors = ["" if c.stderr is None else f" ± {c.stderr:.3f}" for c in centre]
+            place = ", ".join(value + error for value, error in zip(values, errors, strict=True))
             sentence += f" at ({place}) m in the frame of {joint}"
         where = (found.place,)
         experiment = "record the same motion without the payload"

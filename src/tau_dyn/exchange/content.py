@@ -241,23 +241,24 @@ def describe_price(model: Model, versions: Sequence[Model], folder: Path) -> str
             return f"the held-out force error is {whole:.3g} % with the whole model, {with_each}"
         if trained:
             forces = [_describe_force(model, carried, trained) for carried in versions]
-            told = f", with the callback {forces[1]}" if len(forces) > 1 else ""
-            return f"what is left out is {forces[0]}{told} (RMS over the training logs' motion)"
+            more = f"; with the callback it leaves out {forces[1]}" if len(forces) > 1 else ""
+            return f"the file leaves out {forces[0]} (RMS over the training logs' motion){more}"
     except OSError as fault:
-        return f"what that costs is unknown: a log cannot be read ({fault.strerror or fault})"
+        return f"the loss of accuracy is unknown: a log cannot be read ({fault.strerror or fault})"
     except (InputError, CannotAnswer) as fault:
-        return f"what that costs is unknown: {fault}"
-    return "what that costs is unknown: the model's logs are not here"
+        return f"the loss of accuracy is unknown: {fault}"
+    return "the loss of accuracy is unknown: the model's logs are not here"
 
 
-_WHAT = ("contents of the file", "the callback beside it")
+_WHAT = ("contents of the file", "the callback in addition")
 
 
 def _describe_force(model: Model, carried: Model, logs: Sequence[Log]) -> str:
     """Return a sentence with the RMS of the omitted force by joint."""
     lost = compute_lost_force(model, carried, logs)
     rows = zip(model.robot.actuated, lost, model.robot.force_units, strict=True)
-    return ", ".join(f"{x:.3g} {unit} at {joint}" for joint, x, unit in rows)
+    parts = [f"{x:.3g} {unit} at {joint}" for joint, x, unit in rows if x > 0.0]
+    return ", ".join(parts) or "no force"
 
 
 def compute_held_out_errors(models: Sequence[Model], logs: Sequence[Log]) -> list[float]:

@@ -231,8 +231,8 @@ def place_effects(model: Model) -> EffectPlaces:
     text, why = _try_callback(model, held, change) if held else ("", "")
     if not text:
         lost, held = {**lost, **dict.fromkeys(held, why)}, []
-    parts = [(e, " beyond its mean" if isinstance(e, AsymmetricFriction) else "") for e in held]
-    said = [f"effect {e.name} of {', '.join(e.joints)}{part} is in the callback" for e, part in parts]
+    parts = [("the difference between directions of " if isinstance(e, AsymmetricFriction) else "", e) for e in held]
+    said = [f"{part}effect {e.name} of {', '.join(e.joints)} is in the callback" for part, e in parts]
     sentences = [f"effect {e.name} of {', '.join(e.joints)} is left out: {why}" for e, why in lost.items()]
     sentences += () if text else list_means(model, drives=True)
     gone = {n: carried.effect_parameters[n].value for e in lost for n in e.parameters.names}

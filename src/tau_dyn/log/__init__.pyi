@@ -19,7 +19,6 @@ from .column_names import (
     is_blank as is_blank,
     split_words as split_words,
 )
-from .column_proposal import ColumnProposal as ColumnProposal, propose_columns as propose_columns
 from .data_integrity import list_data_warnings as list_data_warnings, mend_log as mend_log
 from .delimited import parse_delimited as parse_delimited
 from .even_segments import (
@@ -46,6 +45,8 @@ from .filtering import (
     lowpass_and_decimate as lowpass_and_decimate,
 )
 from .log import Log as Log
+from .proposals.columns import ColumnProposal as ColumnProposal
+from .proposals.folder import propose_columns as propose_columns
 from .read import (
     compute_mapped_columns as compute_mapped_columns,
     read_any as read_any,

@@ -254,7 +254,7 @@ def check_log(log: LogSource, robot: JointLimits | None = None) -> LogCheck:
     """
     log = as_log(log)
     if robot is not None:
-        require_kind(robot, JointLimits, "robot", "what load_robot returns")
+        require_kind(robot, JointLimits, "robot", "a Robot")
     joints = () if robot is None else robot.actuated
     used = _choose_used(log, joints)
     findings, numbers = check_clock(log, used)
@@ -276,7 +276,9 @@ def check_log(log: LogSource, robot: JointLimits | None = None) -> LogCheck:
     moving = {joint: find_moving_samples(part, joint)[nearest] for joint in log.joints("q")}
     findings += _find_jumps(raw, robot)
     known = " ".join(finding.sentence for finding in findings if finding.topic == "frozen")
-    for more, figures in (check_signals(raw, moving), check_motion(part, others)):
+    kinds = {} if robot is None else dict(zip(robot.actuated, robot.joint_kinds, strict=True))
+    units = {joint: "m" if kind == "prismatic" else "rad" for joint, kind in kinds.items()}
+    for more, figures in (check_signals(raw, moving), check_motion(part, others, units)):
         findings += [f for f in more if f.topic != "frozen" or f"{_name_column(log, f)} stays at the same" not in known]
         numbers.update(figures)
     findings.append(_force_lag(log))

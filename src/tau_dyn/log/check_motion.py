@@ -3,7 +3,7 @@
 Part of `check.py`. Velocities are those an identification would use: zero-phase low-pass, then central differences.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -311,12 +311,15 @@ def find_stuck_bit(log: Log, joint: str) -> CodedWarning | None:
     return None
 
 
-def check_motion(log: Log, others: Sequence[Log] = ()) -> tuple[list[CheckFinding], dict[str, Any]]:
+def check_motion(
+    log: Log, others: Sequence[Log] = (), units: Mapping[str, str] | None = None
+) -> tuple[list[CheckFinding], dict[str, Any]]:
     """Judge the motion of every joint with a `q`.
 
     Args:
         log: A log with an even clock.
         others: Other parts of the same log, whose range, speed and reversals count as well.
+        units: Unit of a joint's position, m or rad, by joint; sentences about other joints have none.
 
     Returns:
         Findings, and by joint: `quantisation`, `encoder_noise` [m or rad], `velocity_noise` [per s], `range`, `speed`
@@ -330,7 +333,8 @@ def check_motion(log: Log, others: Sequence[Log] = ()) -> tuple[list[CheckFindin
         figures = _add_parts(_figures(log, joint), [_figures(other, joint) for other in others])
         numbers[joint] = figures
         follows = crossed[joint] if joint in crossed else _lag(log, joint, figures)
-        findings += [_encoder(log, joint, figures), _excitation(log, joint, figures), follows]
+        unit = (units or {}).get(joint, "")
+        findings += [_encoder(log, joint, figures, unit), _excitation(log, joint, figures, unit), follows]
     if numbers and not any(figures["moves"] for figures in numbers.values()):
         remedy = "Record a motion, such as `tau-dyn excite` makes."
         findings.append(CheckFinding("fault", "excitation", f"{log.name}: no joint moves.", remedy))
@@ -396,25 +400,28 @@ def _noise_speed(log: Log, signal: str, joint: str) -> float:
     return 5 * noise * compute_noise_gain(log.rate_hz, compute_motion_cutoff(log))
 
 
-def _encoder(log: Log, joint: str, f: dict[str, Any]) -> CheckFinding:
-    step = f"steps of {f['quantisation']:.3g}" if f["quantisation"] else "no visible step"
+def _encoder(log: Log, joint: str, f: dict[str, Any], unit: str) -> CheckFinding:
+    shown, speed = (f" {unit}", f" {unit}/s") if unit else ("", " a second")
+    step = f"steps of {f['quantisation']:.3g}{shown}" if f["quantisation"] else "no visible step"
     sentence = (
-        f"{log.name}: q_{joint} has {step} and noise of {f['encoder_noise']:.2g}, "
-        f"which leaves {f['velocity_noise']:.2g} a second in the velocity below {compute_motion_cutoff(log):.3g} Hz."
+        f"{log.name}: q_{joint} has {step} and noise of {f['encoder_noise']:.2g}{shown}, "
+        f"which leaves {f['velocity_noise']:.2g}{speed} in the velocity below {compute_motion_cutoff(log):.3g} Hz."
     )
     noisy = f["moves"] and f["velocity_noise"] > 0.05 * f["speed"][0]
     doubt = (noisy, f"{sentence} The noise is large for this motion.", "Move faster, or use a finer encoder.")
     return choose_finding("encoder", sentence, doubt)
 
 
-def _excitation(log: Log, joint: str, f: dict[str, Any]) -> CheckFinding:
+def _excitation(log: Log, joint: str, f: dict[str, Any], unit: str) -> CheckFinding:
     what = f"{log.name}: joint {joint}"
     if not f["moves"]:
         remedy = "Move it, else its friction and the masses that it alone moves are not identifiable."
         return CheckFinding("warning", "excitation", f"{what} does not move.", remedy)
     share, ratio = f["forward_share"], f["acceleration_rms"] / max(f["acceleration_noise"], 1e-300)
     low, high = f["range"]
-    moved = f"{what}: range {low:.4g} … {high:.4g}, up to {f['speed'][1]:.3g} a second, {count(f['n_reversals'], 'reversal')}"
+    shown, speed = (f" {unit}", f" {unit}/s") if unit else ("", " a second")
+    fastest, n_reversals = f"{f['speed'][1]:.3g}{speed}", count(f["n_reversals"], "reversal")
+    moved = f"{what}: range {low:.4g} … {high:.4g}{shown}, up to {fastest}, {n_reversals}"
     way, weak = "forwards" if share > 0.5 else "backwards", f"acceleration only {ratio:.2g} times its noise"
     both = "Move both ways, else Coulomb friction and offset are not separable."
     often = f["n_reversals"] >= MIN_REVERSALS

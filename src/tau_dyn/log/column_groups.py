@@ -18,12 +18,14 @@ from tau_dyn.message_codes import CodedWarning
 _WORDS: Mapping[str, frozenset[str]] = {
     "reference": frozenset("target goal cmd command commanded desired des ref reference setpoint sp d action".split()),
     "current": frozenset("current currents curr cur i iq ampere amps amp motorcurrent".split()),
-    "tau": frozenset("tau torque torques effort efforts trq moment moments".split()),
+    "tau": frozenset("tau torque torques effort efforts trq moment moments force forces".split()),
     "v": frozenset("v vel velocity velocities speed speeds dq qd qdot omega".split()),
     "a": frozenset("a acc acceleration accelerations ddq qdd".split()),
     "q": frozenset("q qm pos position positions angle angles theta state enc encoder encoders".split()),
     "temp": frozenset("temp temperature temperatures".split()),
-    "other": frozenset("tcp tool ee cartesian pose ext external volts voltage error fric friction con load".split()),
+    "other": frozenset(
+        "tcp tool ee cartesian pose ext external volts voltage error fric friction con load contact".split()
+    ),
 }
 """Words of a name by the kind that they denote; the first row with a match decides, after `other` and `reference`."""
 

@@ -10,6 +10,7 @@ in the map); and `t: {rate_hz: F}` makes a clock. Numbers are numbers: no expres
 applied in `read.py`.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PureWindowsPath
@@ -20,7 +21,14 @@ from numpy.typing import NDArray
 
 from tau_dyn.exceptions import InputError, require_kind
 from tau_dyn.files import read_yaml
-from tau_dyn.log.column_names import SIGNALS, format_names, is_contract_name, map_joints
+from tau_dyn.log.column_names import (
+    SIGNALS,
+    find_named_scale_of,
+    format_names,
+    is_contract_name,
+    map_joints,
+    split_signal,
+)
 
 SOURCE_KEYS = ("column", "scale", "offset", "file")
 
@@ -38,6 +46,8 @@ class Source:
     offset: float = 0.0
     file: str | None = None
     """Key in the map's `files`; None for the log given on the command line."""
+    is_si: bool = False
+    """Whether the map gives a scale of 1, which overrides a unit in the column's name or below the header."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +120,9 @@ class ColumnMap:
         unused = set(files) - {source.file for source in sources.values()}
         if unused:
             raise _build_error(name, f"no column is taken from file '{min(unused)}'; use it or leave it out of files.")
-        return cls(sources, rate_hz, _couplings(name, couplings, tuple(sources)), files, name, episode, clocks)
+        coupled = _couplings(name, couplings, tuple(sources))
+        _refuse_named_units(name, {ours: s for ours, s in sources.items() if split_signal(ours) not in coupled})
+        return cls(sources, rate_hz, coupled, files, name, episode, clocks)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entries, as YAML gives them."""
@@ -133,6 +145,7 @@ def _to_entry(source: Source) -> Any:
     """Return the entry of a map for a source."""
     more = {"scale": (source.scale, 1.0), "offset": (source.offset, 0.0), "file": (source.file, None)}
     given = {key: value for key, (value, default) in more.items() if value != default}
+    given |= {"scale": 1.0} if source.is_si else {}
     return {"column": source.column, **given} if given else source.column
 
 
@@ -180,7 +193,21 @@ def _source(name: str, key: str, value: Any, files: Mapping[str, str]) -> Source
     scale, offset = (_number(f"{name}: {key}.{k}", value.get(k, d)) for k, d in (("scale", 1.0), ("offset", 0.0)))
     if scale == 0.0:
         raise _build_error(name, f"{key}.scale is 0, which would erase the column; give a number other than 0.")
-    return Source(str(column), scale, offset, file)
+    return Source(str(column), scale, offset, file, is_si=scale == 1.0 and "scale" in value)
+
+
+def _refuse_named_units(name: str, sources: Mapping[str, Source]) -> None:
+    """Refuse a column without a scale whose name gives another unit than an SI one; a coupling's matrix may hold a scale."""
+    for ours, source in sources.items():
+        scale = find_named_scale_of(ours, source.column)
+        if scale not in (None, 1.0) and source.scale == 1.0 and not source.is_si:
+            file = f"file: {source.file}, " if source.file else ""
+            column = source.column if re.fullmatch(r"\w+", source.column) else f'"{source.column}"'
+            raise _build_error(
+                name,
+                f"{ours} takes {source.column}, whose name gives another unit than SI; write "
+                f"`{ours}: {{{file}column: {column}, scale: {scale:.9g}}}`, or `scale: 1` if its numbers are in SI.",
+            )
 
 
 def _is_column_number(value: Any) -> bool:

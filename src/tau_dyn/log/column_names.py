@@ -202,14 +202,31 @@ def split_words(name: str) -> tuple[str, ...]:
 
 def find_named_scale(column: str, kind: str) -> float | None:
     """Return the size in SI of the unit in a column's name; None if the name has no unit."""
-    words = split_words(column)[1:]
+    words = split_words(re.sub("([mk])Nm", r"\1nm", column))[1:]  # else m and Nm are two words
     return next((scale for unit, scale in _SCALES[kind].items() if unit in words), None)
+
+
+def split_signal(column: str) -> str:
+    """Return the signal of one of our columns: `q` of `q_axis`; a name without a joint as it is."""
+    pair = split_column_name(column)
+    return pair[0] if pair else column
+
+
+def _find_kind(column: str) -> str:
+    """Return the kind of quantity of one of our columns, by which its units are known."""
+    signal = split_signal(column)
+    return {"q_ref": "q", "q_link": "q"}.get(signal, signal)
+
+
+def find_named_scale_of(ours: str, column: str) -> float | None:
+    """Return the size in SI of the unit in a foreign column's name for one of our columns; None if the name has no unit."""
+    kind = _find_kind(ours)
+    return find_named_scale(column.replace("°", "deg"), kind) if kind in _SCALES else None
 
 
 def find_scale_of_unit(unit: str, column: str) -> float | None:
     """Return the size in SI of a unit that is given for one of our columns; None if the unit is unknown."""
-    pair = split_column_name(column)
-    kind = {"q_ref": "q", "q_link": "q", "t": "t"}.get(pair[0] if pair else column, pair[0] if pair else "")
+    kind = _find_kind(column)
     text = unit.strip("[]() ").lower().replace("°", "deg")
     words = split_words(text.partition("/")[0])
     return next((_SCALES[kind][word] for word in words if word in _SCALES.get(kind, {})), None)
@@ -230,9 +247,9 @@ def describe_missing_clock(file: str, columns: Sequence[str]) -> str:
 
 _SCALES: Mapping[str, Mapping[str, float]] = {
     "t": {"ns": 1e-9, "nanoseconds": 1e-9, "us": 1e-6, "ms": 1e-3, "msec": 1e-3, "milliseconds": 1e-3, "s": 1.0, "sec": 1.0},
-    "q": {"deg": DEGREE, "degrees": DEGREE, "rad": 1.0, "mm": 1e-3, "m": 1.0},
+    "q": {"deg": DEGREE, "degrees": DEGREE, "mrad": 1e-3, "rad": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "m": 1.0},
     "v": {"deg": DEGREE, "degrees": DEGREE, "rad": 1.0, "rpm": math.pi / 30, "mm": 1e-3},
-    "tau": {"nm": 1.0, "mnm": 1e-3, "ncm": 1e-2},
+    "tau": {"mnm": 1e-3, "knm": 1e3, "ncm": 1e-2, "nmm": 1e-3, "nm": 1.0},
 }  # fmt: skip
 """Units that a name may contain, and their size in SI."""
 

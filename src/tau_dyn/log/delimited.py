@@ -301,7 +301,7 @@ def _check_lengths(layout: _Layout) -> tuple[_Layout, tuple[str, ...]]:
         )
     raise InputError(
         "file_format",
-        f"{where} has {has}, the header names {wanted} columns; "
+        f"{where} has {has}, the header has {wanted}; "
         f"every line needs {wanted}, separated by {SEPARATORS[layout.separator]}.",
     )
 

@@ -40,6 +40,7 @@ from tau_dyn.log.column_names import (
     is_blank,
     list_used_columns,
     split_column_name,
+    split_signal,
 )
 from tau_dyn.log.log import Log, Origin
 from tau_dyn.log.rosbag_log import is_bag_folder, read_bag
@@ -316,8 +317,8 @@ def _read_clock(table: Table, source: Source | None) -> Clock:
             raise InputError("time_stamps", f"{table.name}, column {column}: {coarse}.")
         return clock._replace(remark=f"{table.name}: column {column} {clock.remark}.")
     scale, offset = (1.0, 0.0) if source is None else (source.scale, source.offset)
-    if source is None:
-        _refuse_unit(table, column)
+    if scale == 1.0 and not (source is not None and source.is_si):
+        _refuse_unit(table, column, "t")
     numbers = table.numbers(column, scale, gaps=True)
     if scale == 1.0 and find_day_numbers(numbers):
         step = np.nanmedian(np.diff(numbers)) * SECONDS_A_DAY
@@ -431,6 +432,9 @@ def _same_length(tables: dict[str | None, Table]) -> tuple[dict[str | None, Tabl
 def _theirs(tables: Mapping[str | None, Table], map_: ColumnMap, ours: str, gaps: bool = False) -> NDArray[np.float64]:
     source = map_.sources[ours]
     table = tables[source.file]
+    is_coupled = split_signal(ours) in map_.couplings
+    if source.scale == 1.0 and not source.is_si and not is_coupled:  # a coupling's matrix may hold the scale
+        _refuse_unit(table, source.column, ours)
     if source.column not in table.cells:
         raise InputError(
             "missing_column",
@@ -447,7 +451,7 @@ def _own_columns(
     """Return columns under their own names: ours checked cell by cell, foreign ones if they are numbers at all."""
     used = set(list_used_columns((*beside, *columns)))
     for column in used.intersection(columns):
-        _refuse_unit(table, column)
+        _refuse_unit(table, column, column)
     channels = {
         column: table.numbers(column, gaps=True) if column in used else table.numbers_or_none(column)
         for column in columns
@@ -455,15 +459,15 @@ def _own_columns(
     return {column: values for column, values in channels.items() if values is not None}
 
 
-def _refuse_unit(table: Table, column: str) -> None:
-    """Refuse a column of ours that the units below the header give in another unit than an SI one."""
+def _refuse_unit(table: Table, column: str, ours: str) -> None:
+    """Refuse a column that is read as our column `ours` in SI, and that the units below the header give in another unit."""
     unit = table.units.get(column, "")
-    scale = find_scale_of_unit(unit, column)
+    scale = find_scale_of_unit(unit, ours)
     if scale not in (None, 1.0):
         raise InputError(
             "file_format",
             f"{table.name}: the units below its header give {unit} for {column}; write "
-            f"`{column}: {{column: {column}, scale: {scale:.9g}}}` into a column map (--columns MAP.yaml).",
+            f"`{ours}: {{column: {column}, scale: {scale:.9g}}}` into a column map (--columns MAP.yaml).",
         )
 
 

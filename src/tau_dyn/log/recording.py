@@ -283,7 +283,9 @@ def _files_in(folder: Path) -> tuple[Path, ...]:
     found = tuple(sorted(p for p in folder.iterdir() if p.suffix.lower() in PARQUET_SUFFIXES and p.is_file()))
     if not found:
         raise InputError(
-            "file_not_found", f"{folder} has no Parquet file in it; give a log, or a folder of .parquet files."
+            "file_not_found",
+            f"{folder} has no Parquet file in it; give its logs one by one, or a folder of .parquet files. If its files are one "
+            "recording, `tau-dyn columns FOLDER ROBOT` proposes a map that joins them.",
         )
     return found
 

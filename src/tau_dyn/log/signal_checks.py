@@ -83,20 +83,22 @@ class LogCheck(Shown):
         doubtful = [finding for finding in self.findings if finding.severity != "ok"]
         return tuple(CodedWarning(f.code, f.sentence) if f.code else f.sentence for f in doubtful)
 
-    def with_faults(self, warnings: Iterable[str]) -> LogCheck:
+    def with_faults(self, warnings: Iterable[str], is_compared: bool = True) -> LogCheck:
         """Return the check with coded warnings from the comparison with a robot file, as further faults.
 
-        If a warning gives the line of a map for a column, the line that the column's range alone suggested is dropped.
+        `is_compared` states whether wiring and timing were compared with masses, which a sound log of forces allows. If a
+        warning gives the line of a map for a column, the line that the column's range alone suggested is dropped.
         """
         sentence = f"{self.name}: wiring and the time of the forces were compared with the masses of the robot file."
         judged = CheckFinding("ok", "synchronisation", sentence)
-        kept = [f for f in self.findings if (f.topic, f.severity) != ("synchronisation", "ok")]
+        kept = [f for f in self.findings if not is_compared or (f.topic, f.severity) != ("synchronisation", "ok")]
         faults = [build_fault(warning) for warning in warnings]
         mended = {line for fault in faults for line in re.findall(r"`(\w+): \{", fault.sentence)}
         kept = [
             f for f in kept if not (f.code == "scale_wrong" and mended & set(re.findall(r"`(\w+): \{", f.sentence)))
         ]
-        return replace(self, findings=(*kept, judged, *(f for f in faults if f not in kept)))
+        compared = (judged,) if is_compared else ()
+        return replace(self, findings=(*kept, *compared, *(f for f in faults if f not in kept)))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the check as plain data for JSON."""

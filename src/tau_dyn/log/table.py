@@ -189,7 +189,11 @@ def _read_bytes(path: Path, most: int | None) -> bytes:
             "file_not_found", f"{path}: there is no such file; give the path of a CSV or Parquet log."
         ) from None
     except IsADirectoryError:
-        raise InputError("cannot_read", f"{path} is a folder; give the path of a CSV or Parquet log in it.") from None
+        raise InputError(
+            "cannot_read",
+            f"{path} is a folder; give the path of a CSV or Parquet log in it. If its files are one recording, `tau-dyn "
+            "columns FOLDER ROBOT` proposes a map that joins them.",
+        ) from None
     except OSError as error:
         raise InputError(
             "cannot_read", f"{path} cannot be read: {error.strerror or error}; give a readable CSV or Parquet log."

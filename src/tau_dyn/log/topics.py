@@ -198,8 +198,8 @@ class _Clock:
             said = [
                 CodedWarning(
                     "stamps_chosen",
-                    f"{self.name}: t is the stamp in the messages of {main.name}, from its first on, not when they were "
-                    "recorded.",
+                    f"{self.name}: t is the stamp in the messages of {main.name} from the first on, not the time of "
+                    "recording.",
                 )
             ]
         elif not self.asked:

@@ -166,9 +166,9 @@ def choose_delay(
             best = min(after, key=lambda d: (after[d], d))
             gaps |= {d: bic - after[best] for d, bic in after.items()}
     rows, sure = _summarise(best, found, gaps)
-    what = f"a delay of {_samples(best)} explains the data best" if best else "no delay fits best"
+    what = f"a delay of {_samples(best)} explains the data best" if best else "zero delay fits best"
     behind = f"the next is only {sure:.1f} behind in BIC"
-    how = "any other is out of the question" if sure > DECISIVE_BIC_DIFFERENCE else behind
+    how = "the BIC of any other is decisively worse" if sure > DECISIVE_BIC_DIFFERENCE else behind
     return DelayChoice(best, rows, sure, f"{what}; {how}")
 
 

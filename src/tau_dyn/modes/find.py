@@ -65,6 +65,7 @@ from tau_dyn.modes.sensors import find_sensor_kind
 from tau_dyn.modes.state_space import StateSpace, delay_inputs
 from tau_dyn.modes.time_limit import TimeLimit
 from tau_dyn.modes.validation import validate_model
+from tau_dyn.results import count
 
 MAX_REQUESTED_ORDER = 200  # states; a dense model of more takes minutes and fits noise
 MAX_REQUESTED_DELAY = 10_000  # samples
@@ -444,7 +445,7 @@ def _refine_best(
     _, name, made = min(found, key=lambda row: row[0])
     what = "simulation" if best.kind == SIMULATED else "one-step predictions"
     ended = "converged" if made.converged else "stopped before it converged"
-    return made, f"the error of {what} was minimised from {name}; it {ended} after {made.rounds} rounds"
+    return made, f"the error of {what} was minimised from {name}; it {ended} after {count(made.rounds, 'round')}"
 
 
 def _is_sound(made: RefinedModel) -> bool:

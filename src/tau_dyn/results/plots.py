@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from io import BytesIO
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -44,7 +45,16 @@ def _make_axes(rows: int) -> tuple[Figure, Any]:
         from matplotlib.figure import Figure
     except ImportError:
         raise InputError("missing_package", "plots need Matplotlib: pip install 'tau_dyn[plot]'") from None
-    figure = Figure(figsize=(_INCHES[0], _INCHES[1] * rows + 0.6), layout="constrained")
+
+    class NotebookFigure(Figure):
+        """A figure that a notebook shows as a picture although pyplot, which would show it twice, is not used."""
+
+        def _repr_png_(self) -> bytes:
+            with BytesIO() as picture:
+                self.savefig(picture, format="png")
+                return picture.getvalue()
+
+    figure = NotebookFigure(figsize=(_INCHES[0], _INCHES[1] * rows + 0.6), layout="constrained")
     return figure, figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
 
 

@@ -86,7 +86,7 @@ def find_robot(robot: str | Path) -> Path:
         InputError: It is neither, or the file does not exist or is not a robot file.
         UnknownName: A bare word is not the name of a robot.
     """
-    require_kind(robot, str | Path, "robot", "what load_robot returns, a robot file's path or a name")
+    require_kind(robot, str | Path, "robot", "a Robot, a robot file's path or a name")
     path, stock = Path(robot), list_stock_robots()
     try:
         there = path.is_file()

@@ -36,7 +36,7 @@ def as_poses(poses: PoseSet | str | Path, robot: Robot) -> PoseSet:
     """
     if isinstance(poses, PoseSet):
         return poses
-    require_kind(poses, str | Path, "set of poses", "what read_poses returns, or a file's path")
+    require_kind(poses, str | Path, "set of poses", "a PoseSet, or a file's path")
     return read_poses(poses, robot.actuated, mimics=read_annotations(robot.urdf, robot.source).mimics)
 
 

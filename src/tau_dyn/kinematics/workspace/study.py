@@ -67,7 +67,8 @@ class Section:
     @property
     def name(self) -> str:
         """Text such as `x = 1.75 m`."""
-        return f"{self.axes[self.axis]} = {self.at:.4g} {self.units[self.axis]}"
+        at = round(self.at, 9) + 0.0  # a rounding error of home is zero
+        return f"{self.axes[self.axis]} = {at:.4g} {self.units[self.axis]}"
 
     @property
     def inside(self) -> np.ndarray:

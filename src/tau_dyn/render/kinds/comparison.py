@@ -34,8 +34,8 @@ def present_comparison(found: Comparison) -> r.Presentation:
     ]
     logs = [("first", str(found.a.path), found.a.sha256), ("second", str(found.b.path), found.b.sha256)]
     return r.Presentation(
-        "Comparison", f"{found.a.place} beside {found.b.place}", "comparison", describe_headline(found),
-        r.Verdict(level, said, badge), f"{found.a.kind} beside {found.b.kind}.", sections, found.warnings,
+        "Comparison", f"{found.a.place} and {found.b.place}", "comparison", describe_headline(found),
+        r.Verdict(level, said, badge), f"{found.a.kind} compared with {found.b.kind}.", sections, found.warnings,
         provenance=r.Provenance(logs=logs), data=lambda: flatten_rows([c.to_dict() for c in found.changes]), result=found,
     )  # fmt: skip
 

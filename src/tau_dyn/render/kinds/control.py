@@ -61,7 +61,7 @@ def present_actuators(found: ActuatorModels) -> Presentation:
     return Presentation(
         "Controlled actuators", ", ".join(found.outputs), "Controlled actuators",
         f"The slowest axis follows its reference up to {slowest:.3g} Hz (-3 dB).", verdict,
-        f"{len(found.records)} tests, a sample every {1e3 * found.dt:g} ms",
+        f"{count(len(found.records), 'test')}, a sample every {1e3 * found.dt:g} ms",
         [
             Chapter("axes", "Axis by axis", lambda: _build_axes(found), On.ALL),
             Chapter("tests", "Measured and fitted", lambda: _build_tests(found)),
@@ -295,9 +295,13 @@ def present_lead_through(found: LeadThroughAdvice) -> Presentation:
 
 
 def _build_settings(found: LeadThroughAdvice) -> Iterator[Element]:
+    names = [r["name"].removesuffix("_hz").replace("_", " ") for r in found.to_rows()]
     rows = [
-        [r["name"].replace("_", " "), f"{format_number(r['value'], 4)} {format_unit(r['unit'])}"]
-        for r in found.to_rows()
+        [
+            f"frequency of {name}" if r["name"].endswith("_hz") else name,
+            f"{format_number(r['value'], 4)} {format_unit(r['unit'])}",
+        ]
+        for name, r in zip(names, found.to_rows(), strict=True)
     ]
     yield _table(("", "value"), rows)
 

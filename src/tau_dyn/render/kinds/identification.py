@@ -278,7 +278,9 @@ def _build_quality(found: Identification) -> Iterator[r.Element]:
     pairs = fit_quality.list_correlations(found)
     if pairs:
         table = r.ResultTable(
-            [r.Column(kind="number"), r.Column(), r.Column()], [r.Row((c, a, b)) for a, b, c in pairs], style="plain"
+            [r.Column(kind="number"), r.Column(), r.Column()],
+            [r.Row((c, a, b)) for a, b, c in pairs],
+            style="whole-names",
         )
         title = f"{r.count(len(pairs), 'strong correlation')}; use only the combinations"
         separation.append(r.Folded(title, [table], len(pairs) <= 3))
@@ -296,7 +298,8 @@ def _build_quality(found: Identification) -> Iterator[r.Element]:
         yield r.Text("Residuals", "heading")
         yield r.Text(fit_quality.describe_whiteness(residuals))
         correlations = [fit_quality.build_correlation_figure(row) for row in residuals]
-        yield r.Figures([*correlations, *(fit_quality.build_residual_histogram(row) for row in residuals)])
+        yield r.Figures(correlations)
+        yield r.Figures([fit_quality.build_residual_histogram(row) for row in residuals])
         yield r.explain(
             "Autocorrelation of the residual (line) and of white noise through the same low-pass filter (dashes), with "
             "its 95 % bound. Good: the line follows the dashes, then stays near zero. Below: distribution of the "

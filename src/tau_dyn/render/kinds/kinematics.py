@@ -104,7 +104,7 @@ def _list_single(table: PoseTable) -> list[tuple[str, str, str, str]]:
     """Return one answer as rows: name, value, unit, and the limits of a joint."""
     robot = table.robot
     rows = [
-        (name, _number(x), unit, f"{low:.6g} to {high:.6g}")
+        (name, _number(x), unit, f"{low:.4g} to {high:.4g}")
         for name, x, unit, low, high in zip(
             robot.actuated, table.q[0], robot.position_units, robot.lower, robot.upper, strict=True
         )
@@ -169,4 +169,5 @@ def _cells(table: PoseTable, k: int, digits: str = "{:.6f}") -> list[str]:
 
 
 def _number(x: float, digits: str = "{:.6f}") -> str:
-    return digits.format(x) if np.isfinite(x) else ""
+    text = digits.format(x) if np.isfinite(x) else ""
+    return text.removeprefix("-") if text and float(text) == 0.0 else text  # no minus sign before a zero

@@ -123,7 +123,7 @@ def present_watch(found: WatchResult) -> r.Presentation:
         [
             r.Chapter("alarms", "What changed", lambda: _list_alarms(found), r.On.ALL),
             *warn(found.warnings),
-            r.Chapter("statistic", "Largest change in standard errors", lambda: _draw_trace(found)),
+            r.Chapter("statistic", "Largest statistic over its threshold", lambda: _draw_trace(found)),
         ],
         found.warnings, r.RobotPicture(found.model.robot), data=lambda: flatten_rows(found.rows()), result=found,
     )  # fmt: skip
@@ -175,10 +175,11 @@ def _draw_trace(found: WatchResult) -> Iterator[r.Element]:
         t, x = (np.array(column) for column in zip(*rows, strict=True))
         if len(t) > 1:
             views.append(
-                r.View(log, "", t, (r.build_strip("over the threshold", 180, r.Curve("statistic", "measured", x)),))
+                r.View(log, "", t, (r.build_strip("share of threshold", 180, r.Curve("statistic", "measured", x)),))
             )
     if views:
-        yield r.TimeView("largest statistic over its threshold, over time", views, [r.Key("measured", "1 is an alarm")])
+        key = r.Key("measured", "largest statistic; 1 is an alarm")
+        yield r.TimeView("largest statistic over its threshold, over time", views, [key])
 
 
 @present_kind.register
@@ -204,7 +205,7 @@ def present_fleet(found: Fleet) -> r.Presentation:
 def _list_spreads(found: Fleet) -> Iterator[r.Element]:
     columns = [
         r.Column("parameter"),
-        r.Column("combination", on=r.On.PAGE),
+        r.Column("combination", "text", "spare", on=r.On.PAGE),
         r.Column("mean, 95 % interval", "number"),
         r.Column("spread, 95 % interval", "number"),
         r.Column("", "unit"),
@@ -216,8 +217,9 @@ def _list_spreads(found: Fleet) -> Iterator[r.Element]:
             f"{r.format_number(x, digits)} [{r.format_number(low, digits)}, {r.format_number(high, digits)}]"
             for x, (low, high), digits in ((p.mean, p.mean_ci95, 4), (p.spread, p.spread_ci95, 2))
         )
-        rows.append(r.Row([p.name, p.expression, mean, spread, r.format_unit(p.unit), str(p.n_units)]))
-    yield r.ResultTable(columns, rows, on=r.On.ALL)
+        combination = p.expression if p.expression != p.name else ""
+        rows.append(r.Row([p.name, combination, mean, spread, r.format_unit(p.unit), str(p.n_units)]))
+    yield r.ResultTable(columns, rows, style="names-above", on=r.On.ALL)
     yield r.explain(
         "Spread: standard deviation over units, their own errors taken out; its interval reaches zero where units may be equal. "
         "Combinations are of parameters that the logs see only together."

@@ -203,8 +203,8 @@ def _tabulate(motion: Trajectory, robot: Robot) -> dict[str, np.ndarray]:
 def _build_driven(found: ExcitingMotion) -> Iterator[r.Element]:
     motion, robot = found.motion, found.model.robot
     columns = [
-        r.Column("joint"), r.Column("unit", style="quiet"), r.Column("range", "number"), r.Column("of", "number", "quiet"),
-        r.Column("its travel", "bar", "share"), r.Column("top speed", "number"), r.Column("limit", "number", "quiet"),
+        r.Column("joint"), r.Column("unit", style="quiet"), r.Column("range", "number"), r.Column("limits", "number", "quiet"),
+        r.Column("share of the travel", "bar", "share"), r.Column("top speed", "number"), r.Column("limit", "number", "quiet"),
         r.Column("share of the limit", "bar", "share", on=r.On.PAGE), r.Column("top acceleration", "number"),
         r.Column("reversals", "number"),
     ]  # fmt: skip

@@ -80,6 +80,7 @@
     const button = document.createElement("button");
     button.type = "button";
     button.textContent = name;
+    button.hidden = !name;
     button.addEventListener("click", () => { joint = name; draw(); });
     tabs.append(button);
   });

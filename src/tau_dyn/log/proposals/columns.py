@@ -92,18 +92,19 @@ class ColumnProposal:
         return {"log": self.log, "joints": list(self.robot_joints), "columns": dict(self.entries), **more}
 
 
-def propose_columns(path: str | Path, robot: JointLimits) -> ColumnProposal:
+def propose_log_columns(path: str | Path, robot: JointLimits, *, is_part: bool = False) -> ColumnProposal:
     """Propose a column map for a log of a robot.
 
     Args:
         path: The log, in any format that `read_log` reads.
         robot: Its actuated joints with their kinds and limits.
+        is_part: Whether other files of the recording may hold the positions or torques; their lack is no doubt then.
 
     Raises:
         InputError: The log cannot be read.
         CannotAnswer: No column except the clock holds numbers.
     """
-    table = _read(Path(path))
+    table = read_columns(Path(path))
     table, draft = _choose_episode(table)
     own = {f"cmd_{joint}" for joint in robot.actuated}  # which keep their name
     values = {c: x for c in table.cells if c not in own and (x := _find_numbers(table, c)) is not None}
@@ -122,12 +123,13 @@ def propose_columns(path: str | Path, robot: JointLimits) -> ColumnProposal:
     else:
         groups = find_groups([c for c in values if c not in named], robot.actuated, Path(path).stem)
     q, positions = _propose_positions(table, groups, recorded, robot)
-    draft += positions
+    draft += positions if q.columns or not is_part else _Draft({}, [])
     draft += _propose_velocities(groups, recorded, q, robot)
-    draft += _propose_forces(groups, recorded, robot)
+    forces = _propose_forces(groups, recorded, robot)
+    draft += forces if forces.entries or not is_part else _Draft({}, [])
     draft += _propose_references(groups, recorded, q, robot)
-    template = () if q.columns else _write_template(table, values, draft.entries, robot)
-    if q.columns:
+    template = () if q.columns or is_part else _write_template(table, recorded, draft.entries, robot)
+    if q.columns and not is_part:
         draft += _name_gaps(table, draft.entries, robot)
         if t is not None:  # else the missing clock is listed already
             draft += _read_back(Path(path), draft.entries, robot)
@@ -144,8 +146,8 @@ class _Recorded(NamedTuple):
 
     def find_scale(self, column: str, kind: str) -> float | None:
         """Return the size in SI of the unit that a column's name or its unit gives; None without one."""
-        unit = self.units.get(column, "").replace("°", "deg").partition("/")[0]
-        return find_named_scale(f"{column} {unit}", kind)
+        unit = self.units.get(column, "").partition("/")[0]
+        return find_named_scale(f"{column} {unit}".replace("°", "deg"), kind)
 
 
 def _read_back(path: Path, entries: Mapping[str, Any], robot: JointLimits) -> _Draft:
@@ -165,7 +167,7 @@ MAX_TEMPLATE_COLUMNS = 60
 
 
 def _write_template(
-    table: Table, values: Mapping[str, NDArray[np.float64]], entries: Mapping[str, Any], robot: JointLimits
+    table: Table, recorded: _Recorded, entries: Mapping[str, Any], robot: JointLimits
 ) -> tuple[str, ...]:
     """Return the lines of a map that a person has to complete, and the numeric columns with their ranges.
 
@@ -174,6 +176,7 @@ def _write_template(
         CannotAnswer: There is no column of numbers except the clock.
     """
     refuse_signals_in_rows(table)
+    values = recorded.values
     free = [column for column in values if column not in _list_named(entries)]
     if not free:
         joints = robot.actuated
@@ -185,7 +188,12 @@ def _write_template(
         )
     wanted = [f"{signal}_{joint}" for signal in ("q", "tau") for joint in robot.actuated]
     lines = [f"# {ours}: {{column: COLUMN, scale: 1.0}}" for ours in wanted if ours not in entries]
-    ranges = [f"{column} ({values[column].min():.4g} to {values[column].max():.4g})" for column in free]
+    scales = {
+        c: next((x for kind in ("q", "tau") if (x := recorded.find_scale(c, kind)) not in (None, 1.0)), 1.0)
+        for c in free
+    }
+    units = {c: f"; scale: {scale:.9g} by its unit" for c, scale in scales.items() if scale != 1.0}
+    ranges = [f"{c} ({values[c].min():.4g} to {values[c].max():.4g}{units.get(c, '')})" for c in free]
     more = [f"{len(free) - MAX_TEMPLATE_COLUMNS} more"] if len(free) > MAX_TEMPLATE_COLUMNS else []
     return (
         "# Complete a line for each joint and remove its # (rad, m, N m, N).",
@@ -244,7 +252,7 @@ def _pair(chosen: ColumnGroup | None, joints: Sequence[str]) -> tuple[dict[str, 
     return found, [CodedWarning("column_unsure", sentence) for sentence in sentences]
 
 
-def _read(path: Path) -> Table:
+def read_columns(path: Path) -> Table:
     """Read all columns, as a map's reader does."""
     return read_any(path) if has_topics(path) else read_any(path, {})
 
@@ -570,7 +578,7 @@ def _propose_forces(groups: Sequence[ColumnGroup], recorded: _Recorded, robot: J
         sentence = f"{asked.columns[0]} is the controller's reference, not a measurement, and is not mapped."
         doubts.append(CodedWarning("column_unsure", sentence))
     if current is None and asked is None:
-        sentence = "No column is a torque; without one `identify` needs the controller."
+        sentence = "No column has the name of a torque; without one `identify` needs the controller."
         doubts.append(CodedWarning("column_missing", sentence))
     return _Draft({}, doubts)
 

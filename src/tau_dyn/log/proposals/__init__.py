@@ -1,0 +1,1 @@
+"""Proposed column maps: of one log, and of a folder of logs."""
