@@ -14,7 +14,7 @@ from .arms import build_arm, build_law, build_truth, record
 
 @pytest.mark.parametrize(("share", "poor"), [(1.0, False), (1.4, True)])
 def test_a_gain_that_is_wrong_by_two_fifths_is_a_poor_fit(share: float, poor: bool) -> None:
-    """Bodies and friction absorb part of a wrong gain and leave four times the encoder's noise; the true gain leaves the noise."""
+    """Bodies and friction absorb part of a wrong gain and leave four times the noise; the true gain leaves the noise."""
     arm = build_arm(1)
     log = record(arm, build_truth(arm), build_law(arm, 2.65), 1, duration=20.0)
     found = identify_loop(arm, log, law=build_law(arm, share * 2.65))
