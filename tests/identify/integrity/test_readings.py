@@ -15,6 +15,7 @@ from tau_dyn.identify.integrity.excerpt import Records, make_excerpt
 from tau_dyn.identify.integrity.reading_fit import LogModel
 from tau_dyn.identify.integrity.wiring import UNDETERMINED, Fault, Mend, Search, _describe
 from tau_dyn.identify.integrity.wiring_alternatives import Rewiring
+from tau_dyn.identify.integrity.wiring_numbers import try_units
 from tau_dyn.log import Log
 from tau_dyn.mechanism import build_mechanism
 from tau_dyn.message_codes import get_code
@@ -265,3 +266,17 @@ def test_placeholder_bodies_accuse_no_force(make) -> None:
     log = log.with_channels(tau_roll=log.channels["tau_roll"] + spring)
     assert check_against_robot(build(*[(0.5, 1e-3)] * 3), [log]) == []
     assert {get_code(w) for w in check_against_robot(build((0.5, 1e-3), (0.5, 1.1e-3), (0.5, 1.2e-3)), [log])}
+
+
+def test_a_unit_is_preferred_to_a_factor_next_to_it(two_link, arm_log) -> None:
+    """Degrees leave less of the forces than 45 and 70 counts a radian, at which a search for two factors may end."""
+    log = arm_log.with_channels(**{f"q_{j}": np.degrees(arm_log.channels[f"q_{j}"]) for j in JOINTS})
+    excerpt = make_excerpt(two_link, [log])
+    assert excerpt is not None
+    model = LogModel.of(two_link, excerpt, np.zeros(2))
+    reading = (
+        replace(Rewiring.none(2), numbers=(("q", (0,)), ("q", (1,)))).times(("q", (0,)), 45.0).times(("q", (1,)), 70.0)
+    )
+    found = try_units(model.bare(model.test), reading)
+    assert [found.get(number) for number in found.numbers] == pytest.approx([180 / np.pi] * 2)
+    assert try_units(model.bare(model.test), found) == found

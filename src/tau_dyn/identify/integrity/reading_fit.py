@@ -19,7 +19,7 @@ from scipy.optimize import lsq_linear
 from tau_dyn.evidence import NATS_PER_NUMBER, ReadingFit, ReadingTest, compute_zero_mean_nats
 from tau_dyn.exceptions import InputError, LoopClosureError
 from tau_dyn.identify.integrity.excerpt import Excerpt, compute_clipped_power
-from tau_dyn.identify.integrity.wiring_alternatives import Rewiring
+from tau_dyn.identify.integrity.wiring_alternatives import Rewiring, is_within_reach
 from tau_dyn.mechanism import Mechanism, build_mechanism
 from tau_dyn.robot import LENGTH_POWERS, BodyPrior, Robot, compute_body_radius, find_placeholders
 
@@ -159,8 +159,13 @@ class LogModel:
         return q, v * reading.t_scale, a * reading.t_scale**2
 
     def design(self, reading: Rewiring) -> Design | None:
-        """Return the columns of a reading's motion; None if the robot cannot move like this."""
+        """Return the columns of a reading's motion; None if the robot cannot move like this.
+
+        A loop is not searched for a closure far beyond a drive's limits: that takes seconds a reading.
+        """
         q, v, a = self.motion(reading)
+        if self.robot.loops and not all(is_within_reach(self.robot, j, q[:, j]) for j in range(self.robot.na)):
+            return None
         rest = np.zeros_like(q)
         try:
             full = self._rigid(reading.gravity, q, v, a)

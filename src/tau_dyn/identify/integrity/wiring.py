@@ -50,6 +50,7 @@ from tau_dyn.identify.integrity.wiring_numbers import (
     refine_numbers,
     round_to_units,
     separate_numbers,
+    try_units,
 )
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.robot import Robot
@@ -198,7 +199,7 @@ class Search:
         last = next(fault for fault in reversed(faults) if not fault.is_alias)
         test = self.model.test.sharpened(last.after, last.reading.tau_from)
         bare = self.model.bare(test)
-        final = separate_numbers(bare, last.reading)
+        final = try_units(bare, separate_numbers(bare, last.reading))
         errors = estimate_errors(bare, final)
         final = round_to_units(final, errors)
         fit = self.model.fit(final)

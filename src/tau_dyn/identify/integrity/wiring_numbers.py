@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from tau_dyn.evidence import MIN_MODEL_ERROR
 from tau_dyn.identify.integrity.reading_fit import Design, LogModel
 from tau_dyn.identify.integrity.wiring_alternatives import UNITS, Number, Rewiring
 
@@ -135,6 +136,31 @@ def _expand(model: LogModel, reading: Rewiring) -> tuple[np.ndarray, np.ndarray]
         values, vectors = np.diag(H), np.eye(n)
     gradient = (ends[:, 0] - ends[:, 1]) / (2 * steps)
     return gradient, vectors @ np.diag(1 / np.maximum(values, MIN_CURVATURE)) @ vectors.T
+
+
+def try_units(model: LogModel, reading: Rewiring) -> Rewiring:
+    """Return the reading with all its positions in one other unit, if that is likelier than the estimated factors.
+
+    The density has several maxima where the robot's shape limits its positions, and the search for a factor finds one of them.
+    Both are compared with the residual of the best joint as the model error, so that the forces decide and not the bodies' prior.
+    """
+    numbers = [number for number in reading.numbers if number[0] == "q"]
+    if not numbers:
+        return reading
+    best = reading
+    for unit in UNITS["q"]:
+        for factor in (unit, 1 / unit):
+            trial = best
+            for number in numbers:
+                trial = trial.times(number, factor / abs(best.get(number)))
+            if (fit := model.fit(trial)) is None:
+                continue
+            share = float(np.min(np.sqrt(fit.power) / model.size[list(trial.tau_from)]))
+            least = min(model.test.model_error, max(share, MIN_MODEL_ERROR))
+            sharp = replace(model, test=replace(model.test, model_error=least))
+            if compute_posterior(sharp, trial) > compute_posterior(sharp, best):
+                best = trial
+    return best
 
 
 def round_to_units(reading: Rewiring, errors: dict[Number, float]) -> Rewiring:
