@@ -7,7 +7,7 @@ import pytest
 
 from tau_dyn.evidence import describe_poor_simulations, find_poor_simulations
 from tau_dyn.message_codes import get_code
-from tau_dyn.servo import identify_loop
+from tau_dyn.servo import diagnose_loop, identify_loop
 
 from .arms import build_arm, build_law, build_truth, record
 
@@ -31,3 +31,14 @@ def test_a_simulation_as_good_as_the_encoder_is_no_poor_fit() -> None:
     (warning,) = describe_poor_simulations([found], {"b": "rad"})
     assert "b (3 mrad beyond 0.5 mrad)" in warning
     assert find_poor_simulations(("a",), np.array([3e-3]), noise[:1], np.ones(1), 1000) == ()
+
+
+def test_values_of_a_diagnosed_loop_have_standard_errors() -> None:
+    """With the gain corrected, friction returns within its error; without it the error of the gain is in the friction."""
+    arm = build_arm(1)
+    logs = [record(arm, build_truth(arm), build_law(arm, 2.65), seed, duration=20.0) for seed in (1, 2)]
+    found = diagnose_loop(arm, logs, law=build_law(arm, 2 * 2.65))
+    assert [f.cause for f in found.findings if f.status == "confirmed"] == ["gain_error"]
+    before, after = (model.parameters["j1.coulomb"] for model in (found.model, found.extended_model))
+    assert after.stderr is not None and abs(after.value - 0.06) < 3 * after.stderr
+    assert before.stderr is not None and abs(before.value - 0.06) > 10 * after.stderr

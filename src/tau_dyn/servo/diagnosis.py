@@ -40,7 +40,7 @@ from tau_dyn.servo.cause_search import LoopSearch, check_steps, compute_limits, 
 from tau_dyn.servo.data import BASELINE, LoopData, fit_coupled, fit_precisely, keep_kinds, refit_again
 from tau_dyn.servo.doubts import list_loop_warnings
 from tau_dyn.servo.fit import LoopFit
-from tau_dyn.servo.identification import fill_model
+from tau_dyn.servo.identification import fill_model, list_body_rows, list_joint_rows
 from tau_dyn.servo.preparation import LoopOptions, read_loop_logs
 from tau_dyn.servo.records import LoopRecord
 from tau_dyn.servo.residual_structure import LoopResidual, compute_noise_floor, find_residual_structure
@@ -143,7 +143,7 @@ def diagnose_loop(
     warnings += list_loop_warnings(law, parts.train, held, [*given.train, *given.held], data, base)
     provenance = list_provenance(given.train, given.held, seed)
     model, extended = (
-        replace(_build_model(replace(data, unknowns=u), fit), provenance=provenance)
+        replace(_build_model(replace(data, unknowns=u), fit, seed), provenance=provenance)
         for u, fit in ((data.unknowns, base), (search.unknowns, search.fit))
     )
     size = np.concatenate([record.q[record.used] for record in parts.gain]).std(axis=0)
@@ -422,8 +422,11 @@ def _bootstrap(before: np.ndarray, after: np.ndarray, blocks: np.ndarray, seed: 
     return float(low), float(high)
 
 
-def _build_model(data: LoopData, fit: LoopFit) -> Model:
+def _build_model(data: LoopData, fit: LoopFit, seed: int) -> Model:
     values = data.unknowns.with_values(fit.x)
     law = replace(data.law.with_values(**{key: values[key] for key in SERVO_ENTRIES}), estimated=frozenset())
     theta = data.space.at(fit.x[data.unknowns.n - data.space.n_unknowns :])
-    return replace(fill_model(data, values, theta, (), ()), controller=law.to_dict())
+    bodies, _ = list_body_rows(data, fit, theta, seed)
+    return replace(
+        fill_model(data, values, theta, list_joint_rows(data, fit, values), bodies), controller=law.to_dict()
+    )

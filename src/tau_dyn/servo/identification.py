@@ -121,8 +121,8 @@ def _build_result(
     values = u.with_values(fit.x)
     m = u.n - data.space.n_unknowns
     theta = data.space.at(fit.x[m:])
-    rows = _list_joint_rows(data, fit, values)
-    bodies, base = _list_body_rows(data, fit, theta, more["seed"])
+    rows = list_joint_rows(data, fit, values)
+    bodies, base = list_body_rows(data, fit, theta, more["seed"])
     law = data.law.with_values(**{key: values[key] for key in SERVO_ENTRIES})
     law = replace(law, estimated=frozenset())
     identified = fill_model(data, values, theta, rows, bodies)
@@ -139,7 +139,7 @@ def _build_result(
     )  # fmt: skip
 
 
-def _list_joint_rows(data: LoopData, fit: LoopFit, values: Mapping[str, np.ndarray]) -> list[LoopParameter]:
+def list_joint_rows(data: LoopData, fit: LoopFit, values: Mapping[str, np.ndarray]) -> list[LoopParameter]:
     """Return the estimated parameters of joints, joint by joint."""
     u, sigma = data.unknowns, np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     where = np.full(u.free.shape, -1)
@@ -165,7 +165,7 @@ def _list_joint_rows(data: LoopData, fit: LoopFit, values: Mapping[str, np.ndarr
     return rows
 
 
-def _list_body_rows(
+def list_body_rows(
     data: LoopData, fit: LoopFit, theta: np.ndarray, seed: int
 ) -> tuple[list[LoopParameter], tuple[LoopParameter, ...]]:
     """Return the bodies' free parameters, and their identifiable combinations."""
