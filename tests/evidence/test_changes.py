@@ -127,6 +127,16 @@ def test_a_tool_that_is_picked_up_loads_all_joints_at_once():
     assert found.after == pytest.approx(1.5, abs=0.1)
 
 
+@pytest.mark.parametrize(("reach", "n_found"), [(0.02, 0), (1.0, 2)])
+def test_a_body_that_hardly_moves_a_force_for_a_while_is_no_change(reach: float, n_found: int):
+    """A body of 10 kg at a place where it exerts 0.2 N m explains an error of the model; where it exerts 10 N m it is carried."""
+    clean = make_regression(4)
+    within = is_late(clean, 20.0) & ~is_late(clean, 28.0)
+    column = np.where(within, reach, 1.0) * np.cos(3 * clean.runs[0].t)[:, None] * [1.0, 0.0]
+    found = find_changes(add_force(clean, 10.0 * within * column), {"payload": [column[:, :, None]]})
+    assert len(found) == n_found and all(one.kind == "payload" for one in found)
+
+
 @pytest.mark.parametrize("seed", [3, 4, 7])
 def test_a_torque_constant_that_is_wrong_throughout_is_no_change(seed):
     """The forearm loads both joints; currents by another constant at one of them contradict it from the first sample on."""

@@ -199,8 +199,18 @@ def _thin(regression: Regression) -> Regression:
     return replace(regression, runs=tuple(runs))
 
 
-def _test(data: LogData, hypothesis: Hypothesis, time_s: float, n_hypotheses: int) -> tuple[LogChange | None, LogData]:
-    """Return a change if a hypothesis holds, and the log with it, or with an equivalent drift, in the model."""
+def _test(
+    data: LogData, hypothesis: Hypothesis, time_s: float, n_hypotheses: int, until_s: float = np.inf
+) -> tuple[LogChange | None, LogData]:
+    """Return a change if a hypothesis holds, and the log with it, or with an equivalent drift, in the model.
+
+    Args:
+        data: The log.
+        hypothesis: The change.
+        time_s: Its time [s].
+        n_hypotheses: Number of hypotheses that were tried.
+        until_s: Its end, which is in the model of the log [s]: the size of its force counts up to it.
+    """
     step = fit_step(data, hypothesis, time_s)
     if step is None:
         return None, data
@@ -213,7 +223,7 @@ def _test(data: LogData, hypothesis: Hypothesis, time_s: float, n_hypotheses: in
     # joints share bodies: those of a poor model may fit other joints better by another sign of this one
     if not hypothesis.columns and _measure_own_misfit(taken, hypothesis) > _measure_own_misfit(data, hypothesis):
         return None, data
-    size, before, after, unit = _measure(taken, hypothesis, step)
+    size, before, after, unit = _measure(taken, hypothesis, step, until_s)
     if size < 1:  # in the model, so that no other kind is named in its place
         return None, taken
     kind = hypothesis.kind
@@ -239,11 +249,11 @@ def _search_pulse(data: LogData, every: Sequence[Hypothesis], n_hypotheses: int)
     if end is None:
         return []
     rest = data.take(hypothesis, end.time_s, 1.0).leave_out(end.time_s)
-    start, _ = _test(rest, hypothesis, start_s, n_hypotheses)
+    start, _ = _test(rest, hypothesis, start_s, n_hypotheses, end.time_s)
     return [] if start is None else [start, end]
 
 
-def _measure(data: LogData, hypothesis: Hypothesis, step: Step) -> tuple[float, float, float, str]:
+def _measure(data: LogData, hypothesis: Hypothesis, step: Step, until_s: float) -> tuple[float, float, float, str]:
     """Return the size of a change over the least reported size, the values before and after it, and their unit.
 
     The change is in the model of the log. Its size is the rms of its force. Models are wrong by `MAX_LAW_ERROR` of a joint's
@@ -255,7 +265,7 @@ def _measure(data: LogData, hypothesis: Hypothesis, step: Step) -> tuple[float, 
             continue
         force = np.concatenate([run.y[run.usable[:, k], k] for run in data.runs])
         friction, coulomb = _estimate_friction(data, k)
-        added = _add_step(data, hypothesis, step, k) if hypothesis.columns else (step.factor - 1) * force
+        added = _add_step(data, hypothesis, step, k, until_s) if hypothesis.columns else (step.factor - 1) * force
         least = max(MAX_LAW_ERROR * float(np.std(force)), MIN_FRICTION_RATIO * float(np.std(friction)))
         sizes.append(_measure_rms(added) / max(least, 1e-300) if len(added) else 0.0)
     size = max(sizes)
@@ -274,11 +284,11 @@ def _measure_rms(x: np.ndarray) -> float:
     return float(np.sqrt(np.mean(x**2)))
 
 
-def _add_step(data: LogData, hypothesis: Hypothesis, step: Step, output: int) -> np.ndarray:
-    """Return the force of a step at the usable samples (n,) of an output after it."""
+def _add_step(data: LogData, hypothesis: Hypothesis, step: Step, output: int, until_s: float) -> np.ndarray:
+    """Return the force of a step at the usable samples (n,) of an output after it, up to a time [s]."""
     made = []
     for c, run in zip(hypothesis.columns, data.runs, strict=True):
-        after = run.usable[:, output] & (run.t > step.time_s)
+        after = run.usable[:, output] & (run.t > step.time_s) & (run.t <= until_s)
         made.append(c[after, output] @ step.amplitudes)
     return np.concatenate(made)
 
