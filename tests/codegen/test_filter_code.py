@@ -130,7 +130,7 @@ def test_a_correction_is_updated_as_in_python(compiled, rng) -> None:
     [
         (lambda: write_learning_source(law(), 0.0), "must be a positive number"),
         (lambda: write_learning_source(law(), (1.0, 1.0, 1.0)), "or 2 of them"),
-        (lambda: write_learning_source(NormOptimalLaw(law().side), 1.0), "NormOptimalLaw is no pair of filters"),  # type: ignore[arg-type]
+        (lambda: write_learning_source(NormOptimalLaw(law().side), 1.0), "NormOptimalLaw is no low-pass and shift"),  # type: ignore[arg-type]
         (lambda: write_learning_source(law(), 1.0, "a-b"), "cannot name a function in C"),
         (lambda: write_observer_source(OBSERVERS["causal"](), "double"), "cannot name a function in C"),
     ],

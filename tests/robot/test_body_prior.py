@@ -67,9 +67,9 @@ ROUND = '<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/>'
 SLENDER = '<inertia ixx="0.001" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/>'
 
 
-def build_chain(n: int, inertia: str) -> Robot:
+def build_chain(n: int, inertia: str, centre: float = 0.0) -> Robot:
     """Return a chain of equal links, the second of which is fixed to the first."""
-    body = f'<inertial><origin xyz="0.1 0 0"/><mass value="0.5"/>{inertia}</inertial>'
+    body = f'<inertial><origin xyz="{centre} 0 0"/><mass value="0.5"/>{inertia}</inertial>'
     parts = ['<link name="link0"/>']
     for k in range(1, n + 1):
         kind = "fixed" if k == 2 else "revolute"
@@ -82,14 +82,15 @@ def build_chain(n: int, inertia: str) -> Robot:
 
 
 def test_equal_spheres_are_placeholders() -> None:
-    """No two parts of a robot are equal spheres; three equal rods may be, and so may two balls."""
+    """No three parts of a robot are equal spheres on their joints; three equal rods or arms may be, and so may two balls."""
     robot = build_chain(4, ROUND)
     assert find_placeholders(robot.model) == {1, 2, 3}
     assert any("placeholders" in sentence for sentence in robot.warnings)
     prior = BodyPrior.of(robot)
     for name, size in prior.size.items():
-        assert prior.rough[name] == prior.accurate[name] == size
-    assert not find_placeholders(build_chain(4, SLENDER).model) and not find_placeholders(build_chain(2, ROUND).model)
+        assert prior.rough[name] == size and prior.accurate[name] == pytest.approx(ACCURATE_FILE * size)
+    for other in (build_chain(4, SLENDER), build_chain(4, ROUND, 0.1), build_chain(2, ROUND)):
+        assert not find_placeholders(other.model)
 
 
 def test_a_file_without_mass_tells_nothing() -> None:

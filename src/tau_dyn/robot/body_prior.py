@@ -13,8 +13,8 @@ This is a contaminated normal distribution (Tukey 1960; Box & Tiao 1968). It ans
 - *How large may the error of a body be in directions without information in the logs?* No log excludes the rough file there, so
   `rough` is the spread.
 
-A body whose mass and round inertia are repeated in the file is a placeholder (`find_placeholders`): its numbers are known to
-themselves only, and no log refutes them.
+A body that the file repeats as a sphere on its joint may be a placeholder (`find_placeholders`): if the file is rough, its
+numbers are uncertain by their own size.
 
 One number cannot answer both. At 25 %, a link that is too heavy by half is not reported. At 2 %, a quantity that only the file
 determines (a compliance, the size of a body) has an interval that is ten times too narrow for a manufacturer's file.
@@ -41,9 +41,11 @@ ROUGH_FILE = 0.25
 The masses in the files of the UR5 and the UR10 sum to 20.99 and 32.70 kg; the manufacturer states 18.4 and 28.9 kg. Independent
 errors `e` of the links, `sum m = M`, give a total error of `e sqrt(sum m^2)`: so `e` is 28 and 26 % of a link."""
 PLACEHOLDER = 1.0
-"""Standard deviation of a placeholder's number, relative to the body's size."""
+"""Standard deviation of a placeholder's number in a rough file, relative to the body's size."""
 MIN_PLACEHOLDERS = 3
 """Number of links with the same mass and the same round inertia from which these are placeholders."""
+_CENTRED_M = 1e-6
+"""Largest distance of a placeholder's centre from its frame's origin, for rounding [m]."""
 MIN_MASS_SHARE = 1e-3
 """Assumed mass of a body without mass, relative to that of all bodies."""
 UNKNOWN_RADIUS_M = 0.05
@@ -86,20 +88,20 @@ class BodyPrior:
         for link in robot.links if total > 0 else ():
             sizes = compute_body_size(link, total)
             weighed = stated.get(f"{link.link}.{INERTIAL[0]}", 0.0) / sizes[0]
-            weighed = PLACEHOLDER if link.joint_id in placeholders else weighed
             for k, name in zip(link.own, link.names, strict=True):
                 size[name] = float(sizes[k])
                 accurate[name] = max(ACCURATE_FILE, weighed) * size[name]
-                rough[name] = max(ROUGH_FILE, weighed) * size[name]
+                rough[name] = max(PLACEHOLDER if link.joint_id in placeholders else ROUGH_FILE, weighed) * size[name]
         accurate |= {name: stderr for name, stderr in stated.items() if name in accurate}
         rough |= {name: stderr for name, stderr in stated.items() if name in rough}
         return cls(size, accurate, rough)
 
 
 def find_placeholders(model: pin.Model) -> frozenset[int]:
-    """Return the joints whose bodies have the mass and the round inertia of at least two other links.
+    """Return the joints whose bodies are spheres about their frames' origins, with the same mass and inertia as two others.
 
-    Simulators require inertias, so files contain one invented value for all links. No two parts of a robot are equal spheres.
+    Simulators require inertias, so files contain one invented value for all links. No three parts of a robot are equal spheres
+    with their centres on the joints; equal arms with a centre between their ends are no placeholders.
 
     Args:
         model: The tree. The body of a joint holds the links that are fixed to it, whose frames keep their own inertia.
@@ -118,9 +120,13 @@ def find_placeholders(model: pin.Model) -> frozenset[int]:
 
 
 def _round_body(body: pin.Inertia) -> tuple[str, str] | None:
-    """Return mass and inertia, to six digits, of a body with three equal principal moments; None for any other body."""
+    """Return mass and inertia, to six digits, of a sphere about its frame's origin; None for any other body."""
     moment = float(np.trace(body.inertia)) / 3
-    if not moment > 0 or not np.allclose(body.inertia, moment * np.eye(3), rtol=0, atol=1e-6 * moment):
+    if (
+        not moment > 0
+        or np.linalg.norm(body.lever) > _CENTRED_M
+        or not np.allclose(body.inertia, moment * np.eye(3), rtol=0, atol=1e-6 * moment)
+    ):
         return None
     return f"{body.mass:.6g}", f"{moment:.6g}"
 

@@ -223,8 +223,8 @@ def load_robot_from_urdf(
         warnings.append("the robot file gives no mass at all; all inertial parameters start from zero")
     if alike := find_placeholders(model):
         warnings.append(
-            f"{source}: {len(alike)} bodies have the same mass and the same round inertia: these are placeholders, and "
-            "no log is compared with them"
+            f"{source}: {len(alike)} bodies are equal spheres on their joints; they look like placeholders, so logs are compared "
+            "with them loosely"
         )
     kinds = {j: model.joints[model.getJointId(j)].shortname() for j in names}
     units = {j: "kg" if kind.startswith("JointModelP") else "kg m^2" for j, kind in kinds.items()}
