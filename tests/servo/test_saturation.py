@@ -63,7 +63,7 @@ def test_a_limit_that_is_never_reached_has_no_standard_error() -> None:
 def test_logs_of_one_step_each_are_used() -> None:
     """Eight answers of 1 s to a command that holds from the first sample on: all 400 samples count, and the gain is known."""
     robot = build_arm(1)
-    law = build_law(robot, gain=1.2, back_emf=0.02, load_friction=0.0)
+    law = build_law(robot, gain=1.2, back_emf=0.02, load_friction=0.0, stiction=0.0)
     t = np.arange(0, 1, 0.02)
     logs = []
     for k, size in enumerate((-0.6, -0.4, -0.2, -0.1, 0.1, 0.2, 0.4, 0.6)):

@@ -1,6 +1,8 @@
 """Filters of learning: zero phase, dips, shifts, weights; and case 1 of the thesis."""
 
 import numpy as np
+import pytest
+import yaml
 from numpy.testing import assert_allclose
 from raising import raises_code
 
@@ -17,6 +19,7 @@ from tau_dyn.control.iterative import (
     compute_pulse_response,
     design_band_stop,
     design_low_pass,
+    read_saved_actuators,
     stack_controlled_actuators,
 )
 from tau_dyn.modes import Actuator
@@ -97,3 +100,13 @@ def test_unequal_and_fractional_delays_stand_side_by_side(rng) -> None:
     alone = np.column_stack([drive.simulate(u[:, k], DT) for k, drive in enumerate(drives)])
     T = build_convolution(compute_pulse_response(model, len(u)))
     assert_allclose((T @ u.T.ravel()).reshape(3, -1).T, alone, atol=1e-12)
+
+
+def test_a_time_constant_without_a_standard_error_is_read_back(tmp_path) -> None:
+    """A delay that explains a drive leaves a time constant far below a sample, known to no number; its value counts as it is."""
+    path = tmp_path / "actuators.yaml"
+    row = {"axis": "x", "gain": 1.0, "time_constant": 3e-7, "delay": 0.016, "delay_stderr": 1e-3}
+    path.write_text(yaml.safe_dump({"tau_dyn_actuators": 1, "axes": [row | {"time_constant_stderr": float("inf")}]}))
+    saved = read_saved_actuators(path)
+    assert saved.slowest.time_constant == 3e-7
+    assert saved.slowest.delay == pytest.approx(0.016 + 1.96e-3, rel=1e-3)

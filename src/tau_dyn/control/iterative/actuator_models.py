@@ -130,8 +130,14 @@ class SavedActuators:
 
     @property
     def slowest(self) -> Actuator:
-        """The longest time constant and delay of all axes, at the upper ends of their 95 % intervals."""
-        pairs = list(zip(self.actuators, self.stderr, strict=True))
+        """The longest time constant and delay of all axes, at the upper ends of their 95 % intervals.
+
+        A time constant far below a sample, next to a delay, has no standard error (inf); its value counts.
+        """
+        known = [
+            Actuator(*(x if np.isfinite(x) else 0.0 for x in (e.gain, e.time_constant, e.delay))) for e in self.stderr
+        ]
+        pairs = list(zip(self.actuators, known, strict=True))
         return Actuator(1.0, *(max(getattr(a, n) + Z95 * getattr(e, n) for a, e in pairs) for n in _VALUES[1:]))
 
 
@@ -160,7 +166,9 @@ def read_saved_actuators(path: str | Path, axes: Sequence[str] = ()) -> SavedAct
             fit = float(row.get("fit_percent", 100.0))
         except (KeyError, TypeError, ValueError):
             raise InputError("file_format", f"{path}: an axis needs axis, gain, time_constant and delay") from None
-        if not (np.isfinite([*values, *errors, fit]).all() and values[1] > 0 and min(values[2], *errors) >= 0):
+        if not (
+            np.isfinite([*values, fit]).all() and values[1] > 0 and values[2] >= 0 and np.all(np.array(errors) >= 0)
+        ):
             raise InputError(
                 "invalid_value",
                 f"{path}: axis {row.get('axis')}: a time constant is above zero, a delay or a standard error not below",
