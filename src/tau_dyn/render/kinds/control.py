@@ -251,7 +251,7 @@ def present_observation(found: ToolObservation) -> Presentation:
         f"{len(found.t)} samples, {found.t[-1]:.3g} s",
         [
             Chapter("axes", "Axis by axis", lambda: _build_observed(found), On.ALL),
-            Chapter("way", "Beside the actuators' tool", lambda: _build_deflection(found)),
+            Chapter("way", "Deflection from the actuators' position", lambda: _build_deflection(found)),
         ],
         found.warnings, data=found.to_rows, result=found,
     )  # fmt: skip
