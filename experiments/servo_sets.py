@@ -48,11 +48,11 @@ HIDDEN: dict[str, tuple[str, float, float]] = {
 def draw_arm(rng: np.random.Generator, hidden: str) -> Arm:
     """Return an arm as it is; the file states 0.15 kg at 0.07 m and 2e-4 kg m^2 for each link."""
     n = int(rng.integers(1, 4))
-    off = lambda: 1 + rng.uniform(-0.25, 0.25, n)  # noqa: E731
     entry, low, high = HIDDEN.get(hidden, ("", 0.0, 0.0))
     servo = replace(Servo(), **{entry: float(rng.uniform(low, high))}) if entry else Servo()
     rotor, coulomb, viscous = (x * np.exp(0.3 * rng.normal(size=n)) for x in (0.012, 0.06, 0.02))
-    return Arm(0.15 * off(), 0.07 * off(), 2e-4 * off(), rotor, coulomb, viscous, servo=servo)
+    mass, centre, inertia = (x * (1 + rng.uniform(-0.25, 0.25, n)) for x in (0.15, 0.07, 2e-4))
+    return Arm(mass, centre, inertia, rotor, coulomb, viscous, servo=servo)
 
 
 def write_robot(n: int) -> Robot:
