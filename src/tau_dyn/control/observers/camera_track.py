@@ -27,7 +27,7 @@ from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.mechanism import Poses
 from tau_dyn.message_codes import CodedWarning
 
-_MIN_IMAGES = 12  # fewer leave no degrees of freedom beside the camera's place
+_MIN_IMAGES = 12  # fewer leave no degrees of freedom next to the camera's place
 _MAX_TURN_STDERR = 0.02  # rad, of the camera's direction: one axis' deflection then appears in another by 2 %
 _MAX_GAP = 2.5  # median steps between images that a spline bridges
 _NOISE_OF_NEIGHBOURS = 1.94  # variance of an image less the cubic through its neighbours, for white noise of variance 1
