@@ -182,10 +182,18 @@ def measure_noncentrality(arm: Robot, law: ServoLaw, logs: list[Log], clean: lis
     data = prepare_loop(given, given.kept)
     data = replace(data, unknowns=keep_kinds(data, (*BASELINE, *law.estimated)), whole=True, step=SPRING_STEP_S)
     data, fit = fit_coupled(data)
-    moved = np.stack([m.q for m in predict(data, fit, given.kept)], axis=-1)
-    measured, true = (np.stack([x.joint("q", arm.actuated) for x in some], axis=-1) for some in (logs, clean))
-    noise = np.var(measured - true, axis=(0, 2), keepdims=True)
+    moved = np.concatenate([m.q for m in predict(data, fit, given.kept)])
+    measured, true = (
+        np.concatenate([_read_at(log, arm, r.t) for log, r in zip(some, given.kept, strict=True)])
+        for some in (logs, clean)
+    )
+    noise = np.var(measured - true, axis=0)
     return float(np.sum((moved - true) ** 2 / noise))
+
+
+def _read_at(log: Log, arm: Robot, t: np.ndarray) -> np.ndarray:
+    """Return the positions of a log at times of a record (N, na)."""
+    return np.column_stack([np.interp(t, log.t, log.channels[f"q_{joint}"]) for joint in arm.actuated])
 
 
 def summarise_causes(table: pd.DataFrame) -> str:

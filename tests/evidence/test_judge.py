@@ -23,6 +23,7 @@ from tau_dyn.evidence import (
 )
 from tau_dyn.evidence.candidate_scan import GroupTest, combine_group_tests, compute_null_moments
 from tau_dyn.evidence.claims import MAX_OUTPUT_LOSS_PERCENT, is_worse
+from tau_dyn.evidence.findings import build_findings
 from tau_dyn.evidence.judge import AmplitudesWithRejected, explain_dependence
 from tau_dyn.evidence.measurements import HELD_OUT, TEST, TRAIN
 from tau_dyn.evidence.null_model import NullModel
@@ -185,19 +186,38 @@ def test_a_rejected_law_does_not_take_another_cause_along(make, rng):
     assert stiffness.stderr and abs(stiffness.value - 40) < 3 * stiffness.stderr
 
 
-@pytest.mark.parametrize(("moved", "why"), [(1.0, ""), (3.0, "3.0 standard errors with the rejected wide_drag")])
-def test_an_amplitude_that_a_rejected_law_changes_is_not_confirmed(moved, why):
-    """An amplitude that moves by three standard errors with the rejected law in the model may hold a part of its force."""
+def measure_spring(stiffness: float, stderr: float, with_rejected: float):
+    """Return a spring with its stiffness, and the fit with a rejected drag."""
     effect = Spring(("x",), ("m",))
     (name,) = effect.parameters.names
+    values = effect.parameters.update({name: {"value": stiffness, "stderr": stderr}})
     one = SimpleNamespace(candidate=SimpleNamespace(effects=(effect,)))
-    values = effect.parameters.update({name: {"value": 40.0, "stderr": 0.5}})
     rejected = SimpleNamespace(candidate=SimpleNamespace(cause="wide_drag"))
-    earlier = AmplitudesWithRejected(
-        (cast(Any, rejected),), {("spring_about_zero", ("x",)): np.array([40.0 - 0.5 * moved])}
-    )
-    found = explain_dependence(cast(Any, one), values, [earlier])
+    amplitudes = {("spring_about_zero", ("x",)): np.array([with_rejected])}
+    return cast(Any, one), values, [AmplitudesWithRejected((cast(Any, rejected),), amplitudes)]
+
+
+@pytest.mark.parametrize(
+    ("with_rejected", "why"),
+    [(39.5, ""), (30.0, ""), (70.0, ""), (15.0, "0.38 times"), (-40.0, "-1 times"), (90.0, "2.2 times")],
+)
+def test_a_cause_that_loses_most_of_its_amplitude_to_a_rejected_law_is_not_confirmed(with_rejected, why):
+    """A spring of 40 ± 0.5 N/m that becomes 15 N/m with the rejected drag in the model may replace it; one of 30 N/m does not."""
+    found = explain_dependence(*measure_spring(40.0, 0.5, with_rejected))
     assert (why in found) and bool(found) is bool(why)
+
+
+def test_the_change_with_a_rejected_law_is_in_the_interval(make, rng):
+    """A spring of 40 N/m whose stiffness a rejected drag changes by 6 N/m has an interval that holds both values."""
+    channel = make.bench(rng, lambda motion: drag(motion) + 40 * motion.q, n=8000, causes=(WideDrag, Spring))
+    found = examine_channel(channel, ExaminationOptions(rng))
+    claims, fits = found.claims, found.waterfall
+    (name,) = [p.name for f in found.findings if f.status == "confirmed" for p in f.parameters]
+    kept = claims.kept.index(next(one for one in claims.kept if one.candidate.cause == "spring_about_zero"))
+    spring = build_findings(found.selection, claims, fits, rng, {name: 6.0})[claims.found.index(claims.kept[kept])]
+    (stiffness,) = spring.parameters
+    assert stiffness.stderr and 1.96 * stiffness.stderr > 6.0
+    assert "with a rejected cause" in spring.sentence
 
 
 def finding(status: str, cause: str = "stribeck", *, shown: bool = False, twins: tuple[str, ...] = ()) -> Finding:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -22,6 +23,9 @@ from tau_dyn.parameters import Parameter, Parameters
 
 _MAX_LISTED = 3  # causes that a sentence names
 _POINTS = 2000  # points of a plot; more are not visible
+MAX_CHANGE_STDERR = 2.0
+"""Standard errors by which amplitudes may change with a rejected cause in the model: half the width of their 95 % intervals. A
+larger change is uncertainty of the amplitude."""
 _DEPENDENT = 1e-8
 """Part of the largest eigenvalue below which columns count as dependent."""
 _BLIND = 0.01
@@ -29,23 +33,35 @@ _BLIND = 0.01
 _WITHIN = (
     " The held-out logs hardly excite it; held-out blocks of the training logs confirmed it and measured its gain."
 )
+_CHANGES = " Standard errors contain the change with a rejected cause in the model."
 _TWIN_EXPERIMENT = "record {reveals}; that separates it from {twins}"
 _EQUIVALENT = "no log of this kind separates it from {twins}; the force is the same"
 
 
 def build_findings(
-    selection: StepwiseSelection, claims: Claims, waterfall: Waterfall, rng: np.random.Generator
+    selection: StepwiseSelection,
+    claims: Claims,
+    waterfall: Waterfall,
+    rng: np.random.Generator,
+    changes: Mapping[str, float] = MappingProxyType({}),
 ) -> list[Finding]:
-    """Return the finding of every cause, confirmed or not, with all other causes in the model."""
+    """Return the finding of every cause, confirmed or not, with all other causes in the model.
+
+    Args:
+        selection: The selection.
+        claims: The causes with the reasons why some are not confirmed.
+        waterfall: The waterfall with the gains.
+        rng: Random numbers for the fits.
+        changes: Changes of amplitudes with rejected causes in the model, by name; standard errors contain them.
+    """
     selection = replace(selection, found=claims.found)
     found = []
     for one, test, why_not in zip(claims.found, claims.tests, claims.why_not, strict=True):
         if why_not:
             found.append(build_rejected_finding(selection, claims, one, why_not, test, rng))
         else:
-            found.append(
-                _build_finding(selection, one, test, waterfall.fits[-1], waterfall.gains[claims.kept.index(one)])
-            )
+            gain = waterfall.gains[claims.kept.index(one)]
+            found.append(_build_finding(selection, one, test, waterfall.fits[-1], gain, changes=changes))
     return found
 
 
@@ -69,6 +85,7 @@ def _build_finding(
     fit: EvaluatedFit,
     gain: Gain | None,
     why_not: str = "",
+    changes: Mapping[str, float] = MappingProxyType({}),
 ) -> Finding:
     """Return the finding of one cause, confirmed or not."""
     channel = selection.channel
@@ -78,7 +95,9 @@ def _build_finding(
     effects = tuple(sorted(one.candidate.effects, key=lambda effect: [place(j) for j in effect.joints]))
     null_model = NullModel.of(selection.library, (TRAIN, VALIDATION), selection.null_model.noise, selection.others(one))
     inflation = max(group.overdispersion for group in one.candidate.fits)
-    parameters = estimate_uncertainty(null_model, effects, values, inflation)
+    alone = estimate_uncertainty(null_model, effects, values, inflation)
+    parameters = _widen(alone, changes)
+    changed = any(p.stderr and changes.get(p.name, 0.0) > MAX_CHANGE_STDERR * p.stderr for p in alone)
     first = effects[0]
     known = channel.scene.signals  # a law of a voltage is no alternative if no voltage is logged
     alike = [t for e in effects for t in e.equivalent if t not in EFFECTS or VOLTAGE not in {*EFFECTS[t].needs} - known]
@@ -98,7 +117,9 @@ def _build_finding(
         gain=gain,
         indistinguishable_from=tuple(dict.fromkeys([*alike, *one.rivals])),
         equation=first.equation,
-        sentence=format_sentence(effects, parameters, gain) + (_WITHIN if test.within and not why_not else ""),
+        sentence=format_sentence(effects, parameters, gain)
+        + (_WITHIN if test.within and not why_not else "")
+        + (_CHANGES if changed else ""),
         experiment="; ".join(experiments),
         effects=effects,
         signature=build_signature(channel, one.candidate.effects, fit.residuals, values),
@@ -135,6 +156,18 @@ def estimate_uncertainty(
             text = spell_unit(effect.setting_units.get(key, "1"), unit)
             rows.append(Parameter(name, effect.settings[key], text, stderr=next(stderr), origin=effect.name))
     return Parameters(rows)
+
+
+def _widen(parameters: Parameters, changes: Mapping[str, float]) -> Parameters:
+    """Return parameters whose standard errors contain a change of the model, uniform up to its size to both sides."""
+    return Parameters(
+        [
+            replace(p, stderr=float(np.hypot(p.stderr, changes[p.name] / np.sqrt(3))))
+            if p.stderr and p.name in changes
+            else p
+            for p in parameters
+        ]
+    )
 
 
 def _variances(gram: np.ndarray) -> np.ndarray:

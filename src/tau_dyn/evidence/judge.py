@@ -5,7 +5,8 @@
 A selected cause that the validation data show, but whose amplitude or setting is implausible for any machine, is listed as
 rejected, and the selection is repeated without it: another cause may explain the same residual. That other cause has to leave a
 residual that is consistent with the noise, since the better fit was rejected. A cause that is confirmed with the rejected one
-in the model and without it, with the same amplitude, explains another part of the residual, and needs no such residual.
+in the model and without it, with about the same amplitude, explains another part of the residual, and needs no such residual;
+its standard errors contain the difference of the amplitudes.
 
 `nothing_found` is a test result. The residual of every output is consistent with its noise (`unexplained.py`), and no rejected
 candidate is shown by the validation data; otherwise the verdict is `unexplained`.
@@ -13,7 +14,7 @@ candidate is shown by the validation data; otherwise the verdict is `unexplained
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -27,7 +28,7 @@ from tau_dyn.evidence.claims import Claims, Waterfall, select_confirmed, select_
 from tau_dyn.evidence.confirmation import Confirmation, confirm
 from tau_dyn.evidence.detection_limits import compute_finding_limit, find_alias_periods, leave_period_open
 from tau_dyn.evidence.extended_fit import fit_extended_model
-from tau_dyn.evidence.findings import build_findings, build_rejected_finding
+from tau_dyn.evidence.findings import MAX_CHANGE_STDERR, build_findings, build_rejected_finding
 from tau_dyn.evidence.measurements import HELD_OUT, TRAIN, divide_training
 from tau_dyn.evidence.noise_only_bootstrap import NoiseOnlyBootstrap
 from tau_dyn.evidence.null_model import NullModel
@@ -43,10 +44,10 @@ from tau_dyn.parameters import Parameters
 MAX_SEARCHES = 3
 """Largest number of selections of one channel: each one after the first leaves out the rejected causes."""
 _LEAVES_STRUCTURE = "a cause outside of its plausible range fits better, and this one leaves a residual above the noise"
-MAX_CHANGE_STDERR = 2.0
-"""Standard errors, rms over the amplitudes of a cause, by which they may change with a rejected cause in the model: half the
-width of their 95 % intervals."""
-_DEPENDS = "its amplitude changes by {:.1f} standard errors with the rejected {} in the model"
+MAX_CHANGE_SHARE = 2.0
+"""Largest ratio of the amplitudes with and without a rejected cause, and of those without and with it. A cause that loses more
+than half of its amplitude to the rejected one may replace it."""
+_DEPENDS = "its amplitude becomes {:.2g} times as large with the rejected {} in the model"
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +129,7 @@ def examine_channel(channel: Channel, options: ExaminationOptions, first: Select
         turned_down = [found.claims.found[k] for k in implausible]
         excluded |= {_identify(effect) for effect in build_effects(turned_down)}
         earlier.append(_measure_with_rejected(found, turned_down, options))
-    return _with_findings(found, options, rejected)
+    return _with_findings(found, options, rejected, measure_changes(found, earlier))
 
 
 def _examine_once(
@@ -239,17 +240,38 @@ def _is_companion(
 def explain_dependence(one: SelectedCause, values: Parameters, earlier: Sequence[AmplitudesWithRejected]) -> str:
     """Return the reason why a cause of a repeated selection may replace a rejected one; empty if it does not."""
     for fit in earlier:
-        changes = []
+        pairs = []
         for effect in one.candidate.effects:
             before = fit.amplitudes.get(_identify(effect))
             own = values.select(effect.parameters.names)
             if before is None or len(before) != len(own):
                 return _LEAVES_STRUCTURE
-            changes += [(p.value - x) / p.stderr for p, x in zip(own, before, strict=True) if p.stderr]
-        change = float(np.sqrt(np.mean(np.square(changes)))) if changes else 0.0
-        if change > MAX_CHANGE_STDERR:
-            return _DEPENDS.format(change, fit.words)
+            pairs += [(p.value / p.stderr, x / p.stderr) for p, x in zip(own, before, strict=True) if p.stderr]
+        if not pairs:
+            continue
+        now, then = np.transpose(pairs)
+        if np.sqrt(np.mean((now - then) ** 2)) > MAX_CHANGE_STDERR:
+            share = float(now @ then / (now @ now))
+            if not 1 / MAX_CHANGE_SHARE <= share <= MAX_CHANGE_SHARE:
+                return _DEPENDS.format(share, fit.words)
     return ""
+
+
+def measure_changes(found: Examination, earlier: Sequence[AmplitudesWithRejected]) -> dict[str, float]:
+    """Return by amplitude its largest difference from its value with rejected causes in the model."""
+    if not found.claims.kept:
+        return {}
+    values = found.waterfall.fits[-1].parameters
+    changes: dict[str, float] = {}
+    for effect in build_effects(found.claims.kept):
+        own = values.select(effect.parameters.names)
+        for fit in earlier:
+            before = fit.amplitudes.get(_identify(effect), ())
+            if len(before) == len(own):
+                changes |= {
+                    p.name: max(abs(p.value - x), changes.get(p.name, 0.0)) for p, x in zip(own, before, strict=True)
+                }
+    return changes
 
 
 def _require_consistency(
@@ -278,7 +300,9 @@ def _require_consistency(
     return replace(found, claims=claims, waterfall=waterfall)
 
 
-def _with_findings(found: Examination, options: ExaminationOptions, rejected: Sequence[Finding]) -> Examination:
+def _with_findings(
+    found: Examination, options: ExaminationOptions, rejected: Sequence[Finding], changes: Mapping[str, float]
+) -> Examination:
     """Return the examination with its findings, the structure without a known cause, and the test of the residual."""
     selection, claims, rng = found.selection, found.claims, options.rng
     findings = [
@@ -286,7 +310,7 @@ def _with_findings(found: Examination, options: ExaminationOptions, rejected: Se
         if len(fitting) > 1
         else _with_limit(selection, one, finding)
         for one, finding, fitting in zip(
-            claims.found, build_findings(selection, claims, found.waterfall, rng), found.periods, strict=True
+            claims.found, build_findings(selection, claims, found.waterfall, rng, changes), found.periods, strict=True
         )
     ]
     aliased = tuple(f for f, fitting in zip(findings, found.periods, strict=True) if len(fitting) > 1)
