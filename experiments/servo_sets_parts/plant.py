@@ -19,6 +19,8 @@ GRAVITY = 9.81
 STEP_S = 2.5e-4
 CONTACT_N_M, CONTACT_N_M_S = 60.0, 0.12
 """Stiffness and damping of gear teeth in contact [N m/rad, N m s/rad]."""
+SETTLED = 1e-9
+"""Change of an impulse, as a share of the largest one, from which no sweep follows."""
 SWEEPS = 8
 
 
@@ -134,10 +136,15 @@ def _torque(s: Servo, error: np.ndarray, speed: np.ndarray) -> np.ndarray:
 
 def _stop(v: np.ndarray, G: np.ndarray, dry: np.ndarray) -> np.ndarray:
     """Return speeds (n,) after impulses of dry friction of at most `dry` (n,), with the inverse mass `G` (n, n)."""
-    p = np.zeros_like(v)
+    speeds, columns, limits = v.tolist(), G.T.tolist(), dry.tolist()
+    p = [0.0] * len(speeds)
     for _ in range(SWEEPS):
-        for j in range(len(v)):
-            new = np.clip(p[j] - v[j] / G[j, j], -dry[j], dry[j])
-            v = v + G[:, j] * (new - p[j])
-            p[j] = new
-    return v
+        settled = True
+        for j, (column, limit) in enumerate(zip(columns, limits, strict=True)):
+            new = min(max(p[j] - speeds[j] / column[j], -limit), limit)
+            change, p[j] = new - p[j], new
+            settled = settled and abs(change) < SETTLED * limit
+            speeds = [x + g * change for x, g in zip(speeds, column, strict=True)]
+        if settled:
+            break
+    return np.array(speeds)
