@@ -192,7 +192,9 @@ def test_lerobot_datasets(tmp_path):
     arm = make_arm("pan", "lift", "elbow", "flex", "roll", "jaw", limit=1.9)
     proposal = propose_columns(path, arm)
     assert proposal.entries["episode"] == 0 and proposal.entries["q_elbow"]["column"] == "observation.state[2]"
-    assert proposal.entries["q_ref_elbow"]["column"] == "action[2]"
+    assert (
+        proposal.entries["cmd_elbow"]["column"] == "action[2]"
+    )  # without forces, servos are identified by their commands
     assert "unit_unsure" in codes_of(proposal)
     for episode in (0, 1):
         log = open_log(path, ColumnMap.from_dict({**proposal.entries, "episode": episode}))
@@ -286,7 +288,7 @@ def test_proposals_agree_with_the_maps_of_the_data_sets():
     )
     assert _column(tx40.entries["q_joint_6"]) == "Joint_6" and set(codes_of(tx40)) == {"column_missing", "unit_unsure"}
     xl330 = propose_columns(data / "xl330" / "kp100_sin_sin.csv", make_arm("axis"))
-    assert xl330.entries == {"t": "t", "q_axis": "position", "v_axis": "speed", "q_ref_axis": "goal_position"}
+    assert xl330.entries == {"t": "t", "q_axis": "position", "v_axis": "speed", "cmd_axis": "goal_position"}
     joints = ("Rotation", "Pitch", "Elbow", "Wrist_Pitch", "Wrist_Roll", "Jaw")
     so101 = propose_columns(data / "so101" / "multisine.parquet", make_arm(*joints))
     assert so101.entries == {"t": "t", **{f"q_{j}": f"q_{j}" for j in joints}}

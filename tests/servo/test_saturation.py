@@ -8,6 +8,9 @@ import pytest
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log
 from tau_dyn.servo import identify_loop, simulate_loop_log
+from tau_dyn.servo.prediction import simulate_coupled
+from tau_dyn.servo.records import InertialSpace, build_records
+from tau_dyn.servo.simulation import read_values
 from tau_dyn.simulate import Trajectory
 
 from .arms import build_arm, build_law, build_truth
@@ -78,3 +81,48 @@ def test_logs_of_one_step_each_are_used() -> None:
     away = logs[0].with_channels(q_j1=2 * logs[0].channels["q_j1"][0] - logs[0].channels["q_j1"])
     with pytest.raises(InputError, match="the commands never change"):
         identify_loop(robot, [*logs[1:], away])
+
+
+@pytest.mark.parametrize("start", [0.5, 18.0])
+def test_the_gain_of_a_servo_that_saturates_is_found_from_its_law(start: float) -> None:
+    """A known torque at full output, a gain of 3 per rad to be estimated: it is found from a start 6 times too low or high."""
+    robot = build_arm(1)
+    law = build_law(robot, gain=3.0, limit=0.3, back_emf=0.02, load_friction=0.0)
+    train, held = (log_steps(robot, law, 0.9, seed) for seed in (1, 2))
+    asked = replace(law.with_values(position_gain=np.array([start])), estimated=frozenset({"position_gain"}))
+    found = identify_loop(robot, [train], law=asked, holdout=[held])
+    (gain,) = (p.value for p in found.parameters if p.name.endswith(".position_gain"))
+    assert gain == pytest.approx(3.0, rel=0.05)
+    assert np.max(found.holdout.rms) < 0.005
+
+
+def test_a_law_that_takes_off_a_share_of_the_speed_is_found() -> None:
+    """At full output a derivative gain is no viscous friction; without it held-out steps are 17 mrad off or more."""
+    robot = build_arm(1)
+    law = build_law(robot, gain=6.0, limit=0.12, derivative_gain=0.6, back_emf=0.02, load_friction=0.0)
+    train, held = (log_steps(robot, law, 0.9, seed) for seed in (1, 2))
+    found = identify_loop(robot, [train], holdout=[held])
+    values = {p.name: p.value for p in found.parameters}
+    joint = robot.actuated[0]
+    assert values[f"{joint}.derivative_gain"] / values[f"{joint}.position_gain"] == pytest.approx(0.1, rel=0.3)
+    assert np.max(found.holdout.rms) < 0.015
+
+
+def test_a_log_of_a_motor_that_is_switched_off_needs_no_law() -> None:
+    """An arm that falls with its motor off moves under a constant command; the column `torque_enable` tells the reason."""
+    robot = build_arm(1)
+    law = build_law(robot, gain=1.2, back_emf=0.02, load_friction=0.0, stiction=0.0)
+    t = np.arange(0, 3, 0.02)
+    switched = Log(
+        t, {"cmd_j1": np.zeros(len(t)), "q_j1": np.zeros(len(t)), "torque_enable": np.where(t < 1.0, 1.0, 0.0)}
+    )
+    truth = build_truth(robot)
+    (record,) = build_records(truth, replace(law, enabled="torque_enable"), [switched])
+    values = read_values(truth, law)
+    (motion,) = simulate_coupled(InertialSpace.of(truth), np.zeros(0), values, law, [record])
+    fallen = switched.with_channels(q_j1=np.interp(t, record.t, motion.q[:, 0]))
+    assert np.ptp(fallen.channels["q_j1"]) > 0.3
+    steps = log_steps(robot, law, 0.5, 3)
+    steps = steps.with_channels(torque_enable=np.ones(steps.n_samples))
+    found = identify_loop(robot, [steps, fallen])
+    assert found.law.enabled == "torque_enable" and np.max(found.train.rms) < 0.02

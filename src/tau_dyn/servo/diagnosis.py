@@ -96,8 +96,8 @@ def diagnose_loop(
     given = read_loop_logs(robot, logs, options)
     progress, seed = given.progress, given.seed
     parts = _split(given.kept, given.others)
-    given, data = start_saturated(given, parts.train)
-    law = given.law
+    given, data = start_saturated(given, parts.train, BASELINE)
+    law = data.law
     unknowns = keep_kinds(data, (*BASELINE, *law.estimated))
     data = replace(data, unknowns=unknowns, whole=True)
     progress("baseline")

@@ -57,7 +57,7 @@ def identify_loop(
     given = read_loop_logs(robot, logs, options)
     progress, kept, others = given.progress, given.kept, given.others
     given, data = start_saturated(given, kept)
-    data, law = start_springs(data, progress), given.law
+    data, law = start_springs(data, progress), data.law
     if others:
         data, fit = fit_coupled(data, progress)
         progress("held-out errors")

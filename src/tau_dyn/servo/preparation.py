@@ -93,7 +93,7 @@ def screen_equation_error(
         space: Inertial numbers.
         records: The records.
         estimate_gain: Whether the position gain is unknown.
-        widest: Position errors up to which samples count (na,) [rad]; None for all samples.
+        widest: Position errors from which the torque no longer grows (na,) [rad]; None if it always does.
     """
     most = np.full(len(law.joints), np.inf) if widest is None else widest
     na = len(law.joints)
@@ -160,12 +160,12 @@ def _build_rows(
     goal = delay_command(r.command[:, j : j + 1], r.dt, delay)[:, 0]
     goal = lowpass(goal, MOTION_HZ, rate) if rate > 2.5 * MOTION_HZ else goal
     error = goal - q[:, j]
-    where = r.used & (np.abs(v[:, j]) > MOVING) & (r.enabled > 0) & (np.abs(error) <= widest)
+    where = r.used & (np.abs(v[:, j]) > MOVING) & (r.enabled > 0)
     edge = round(0.3 * rate)
     where[:edge], where[-edge:] = False, False
     columns = [np.sign(v[:, j]), v[:, j], np.ones(len(v)), a[:, j]]
     if estimate_gain:
-        return error[where], np.stack([*columns, moved], axis=1)[where], where
+        return np.clip(error, -widest, widest)[where], np.stack([*columns, moved], axis=1)[where], where
     entries = r.entries
     u = _rebuild_output(r, j, goal, error)
     tau = entries["force_per_unit"][j] * (u * r.supply - entries["back_emf"][j] * v[:, j])
@@ -208,6 +208,8 @@ def choose_directions(space: InertialSpace, records: Sequence[LoopRecord], scree
 
 ALWAYS = ("armature", "command_delay")
 """Entries estimated for every joint in addition to friction, unless the law or `--fix` gives them."""
+TORQUE_SWITCH = "torque_enable"
+"""Column that servos' registers and their logs name so: zero where the motor is switched off."""
 MIN_LOG_S = 0.5
 """Shortest log without gaps [s]: a step and its answer."""
 MIN_SECONDS = 5.0
@@ -295,7 +297,7 @@ def read_loop_logs(robot: Robot, logs: Log | Recording | Iterable[Log | Recordin
     said = list(dict.fromkeys(w for x in (*pieces, *apart) for w in (*x.warnings, *list_unit_warnings(x, robot))))
     model, progress = options.get("model", "asymmetric"), options.get("progress", lambda step: None)
     friction = model if isinstance(model, str) else ""
-    law = options.get("law") or _guess_law(robot)
+    law = options.get("law") or _guess_law(robot, [*pieces, *apart])
     own, theirs = _split_choices(options.get("choices") or Choices(), robot)
     started = theirs.apply(_build_start(robot, friction))
     progress("loads")
@@ -311,14 +313,20 @@ def read_loop_logs(robot: Robot, logs: Log | Recording | Iterable[Log | Recordin
     )  # fmt: skip
 
 
-def prepare_loop(given: LoopLogs, records: Sequence[LoopRecord], widest: np.ndarray | None = None) -> LoopData:
+def prepare_loop(
+    given: LoopLogs, records: Sequence[LoopRecord], widest: np.ndarray | None = None, *, estimate_gain: bool = True
+) -> LoopData:
     """Return the start of a fit of some records: the screen's values, and the inertial directions that they inform on.
 
-    The screen takes samples with position errors up to `widest` (na,) [rad], if given.
+    Args:
+        given: The logs, with their law.
+        records: The records to fit.
+        widest: Position errors from which the screen's torque no longer grows (na,) [rad]; None if it always does.
+        estimate_gain: Whether the screen estimates the position gain where the law's is a start value.
     """
     model, law, space = given.model, given.law, InertialSpace.of(given.model)
     given.progress("equation error")
-    estimate_gain = "position_gain" in law.estimated and not np.any(law.values["speed_gain"])
+    estimate_gain = estimate_gain and "position_gain" in law.estimated and not np.any(law.values["speed_gain"])
     screen = screen_equation_error(law, space, records, estimate_gain, widest)
     space = choose_directions(space, records, screen)
     loads = [compute_load_waves(space, *r.motion, r.dt) for r in records]
@@ -417,10 +425,11 @@ def _build_start(robot: Robot, friction: str) -> Model:
     )
 
 
-def _guess_law(robot: Robot) -> ServoLaw:
-    """Return a law with the only assumption that torque grows with the position error."""
+def _guess_law(robot: Robot, logs: Sequence[Log]) -> ServoLaw:
+    """Return a law with the only assumption that torque grows with the position error while the motor is on."""
     law = ServoLaw.of(robot.actuated, given=False, position_gain=5.0, force_per_unit=1.0, limit=np.inf)
-    return replace(law, estimated=frozenset({"position_gain"}))
+    enabled = TORQUE_SWITCH if logs and all(TORQUE_SWITCH in log.channels for log in logs) else ""
+    return replace(law, estimated=frozenset({"position_gain"}), enabled=enabled)
 
 
 def _split(log: Log) -> list[Log]:

@@ -127,7 +127,8 @@ def propose_log_columns(path: str | Path, robot: JointLimits, *, is_part: bool =
     draft += _propose_velocities(groups, recorded, q, robot)
     forces = _propose_forces(groups, recorded, robot)
     draft += forces if forces.entries or not is_part else _Draft({}, [])
-    draft += _propose_references(groups, recorded, q, robot)
+    has_forces = is_part or bool(forces.entries) or any(group.kind == "current" for group in groups)
+    draft += _propose_references(groups, recorded, q, robot, "q_ref" if has_forces else "cmd")
     template = () if q.columns or is_part else _write_template(table, recorded, draft.entries, robot)
     if q.columns and not is_part:
         draft += _name_gaps(table, draft.entries, robot)
@@ -578,21 +579,27 @@ def _propose_forces(groups: Sequence[ColumnGroup], recorded: _Recorded, robot: J
         sentence = f"{asked.columns[0]} is the controller's reference, not a measurement, and is not mapped."
         doubts.append(CodedWarning("column_unsure", sentence))
     if current is None and asked is None:
-        sentence = "No column has the name of a torque; without one `identify` needs the controller."
+        sentence = (
+            "No column has the name of a torque; without one `identify` needs commands (cmd_JOINT), better with the "
+            "servo's law (--controller)."
+        )
         doubts.append(CodedWarning("column_missing", sentence))
     return _Draft({}, doubts)
 
 
 def _propose_references(
-    groups: Sequence[ColumnGroup], recorded: _Recorded, q: _Positions, robot: JointLimits
+    groups: Sequence[ColumnGroup], recorded: _Recorded, q: _Positions, robot: JointLimits, signal: str
 ) -> _Draft:
-    """Return lines of the reference positions, in the unit of the positions unless their names contain another."""
+    """Return lines of the reference positions, in the unit of the positions unless their names contain another.
+
+    Without forces they are commands to servos (`signal` is `cmd`), through whose loops the robot is identified.
+    """
     chosen, warnings = choose_group(groups, "q_ref")
     columns, taken = _pair(chosen, robot.actuated)
     entries = {}
     for joint, column in columns.items():
         named = recorded.find_scale(column, "q")
-        entries[f"q_ref_{joint}"] = _build_entry(column, q.scales.get(joint, 1.0) if named is None else named)
+        entries[f"{signal}_{joint}"] = _build_entry(column, q.scales.get(joint, 1.0) if named is None else named)
     return _Draft(entries, [*warnings, *taken])
 
 
