@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tau_dyn.log import find_motion_band
+from tau_dyn.log import choose_force_cutoff, find_motion_band
 
 RATE = 500.0
 T = np.arange(0, 30, 1 / RATE)
@@ -73,3 +73,11 @@ def test_a_coloured_motion_stands_out_as_far_as_it_exceeds_the_noise(rng):
     for found, least in ((band.signal_edge_hz[0], 10.0), (band.clear_edge_hz[0], 300.0)):
         crossing = sigma**-0.5 * (least - 1) ** -0.25  # motion and noise together stand so far above the noise
         assert_allclose(found, crossing, rtol=0.15)
+
+
+def test_a_slow_log_next_to_a_fast_one_limits_the_force_filter(rng):
+    """Motion up to 7 Hz in one log, another one at 12 Hz: forces are low-passed below the 6 Hz that it resolves."""
+    q = 0.1 * np.sin(2 * np.pi * 0.5 * T) + 0.02 * np.sin(2 * np.pi * 7 * T) + rng.normal(0, 1e-6, len(T))
+    band = find_motion_band(q[:, None], RATE)
+    assert band.edge_hz[0] > 6.5
+    assert choose_force_cutoff([band], 12.0) < 6.0 < choose_force_cutoff([band], RATE)

@@ -77,3 +77,26 @@ def test_a_step_within_the_joints_own_speed_is_motion(axis_log):
     size = abs(q[1502])
     assert said(log, fastest=900 * size) and said(log, fastest=np.inf) and not said(log, fastest=1100 * size)
     assert not said(log, left_out=np.arange(len(q)) == 1503)
+
+
+def test_a_count_of_an_encoder_at_rest_is_no_jump_after_resampling() -> None:
+    """One count of 0.38 mrad, which interpolation splits with rounding and some ringing; a step of 30 mrad remains a jump."""
+    ringing = 1e-9 * np.sin(np.arange(400.0)) * np.exp(-np.arange(400.0) / 9)
+    for count in (3.8e-4, 0.03):
+        q = np.zeros(400)
+        q[200:], q[201:] = 0.92 * count, count
+        q[395] -= 0.6 * count
+        q[396:] -= count
+        q = 0.048 + q + np.roll(ringing, 203)
+        assert bool(find_jumps(q, count=0.02).size) is (count > 0.02)
+
+
+def test_a_longer_interval_allows_a_larger_step() -> None:
+    """A joint pushed at 0.2 rad/s between rests, polled every 20 to 80 ms, does not jump; by the same steps of 20 ms it does."""
+    rng = np.random.default_rng(8)
+    t = np.cumsum(np.where(rng.uniform(size=3000) < 0.1, 0.08, 0.02))
+    pushed = np.mod(t, 30.0) < 0.3
+    q = np.cumsum(np.where(pushed, 0.2 * np.diff(t, prepend=0.0), 0.0)) + 1e-5 * rng.standard_normal(len(t))
+    assert not find_jumps(q, t=t).size
+    q[1500:] += 0.3
+    assert list(find_jumps(q, t=t)) == [1499]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tau_dyn.log import Log, check_log, list_data_warnings, mend_log
-from tau_dyn.log.data_integrity import find_lost_samples, find_repeated_rows
+from tau_dyn.log.data_integrity import find_lost_samples, find_repeated_rows, repair_log
 from tau_dyn.message_codes import RepairedWarning, get_code
 
 
@@ -140,3 +140,22 @@ def test_too_many_losses_remain_a_fault(axis_log, rng) -> None:
         log = recounted(axis_log, np.flatnonzero(rng.random(axis_log.n_samples) > share))
         (warning,) = list_data_warnings(log)
         assert isinstance(warning, RepairedWarning) is mended
+
+
+def test_a_reading_of_before_a_gap_is_left_out(axis_log) -> None:
+    """Behind each of three gaps of half a second the first sample still holds the old position; one that moves on does not."""
+    q = axis_log.channels["q_axis"]
+    keep = np.ones(axis_log.n_samples, bool)
+    starts = (3000, 9000, 15000)
+    for k in starts:
+        keep[k : k + 500] = False
+    gappy = Log(axis_log.t[keep], {key: x[keep] for key, x in axis_log.channels.items()}, "gappy.csv")
+    assert not any(get_code(w) == "held_channel" for w in repair_log(gappy).warnings)
+    stale = q.copy()
+    for k in starts:
+        stale[k + 500] = stale[k - 1]
+    repaired = repair_log(gappy.with_channels(q_axis=stale[keep]))
+    (warning,) = (w for w in repaired.warnings if get_code(w) == "held_channel")
+    moved = [k for k in starts if abs(q[k + 501] - q[k - 1]) > 0.005]
+    assert len(moved) >= 2 and f"{len(moved)} samples behind gaps" in warning
+    assert repaired.log.n_samples == gappy.n_samples - len(moved)

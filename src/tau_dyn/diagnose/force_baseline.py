@@ -53,15 +53,15 @@ from tau_dyn.identify import (
     check_integrity,
     choose_preparation,
     count_information,
+    cut_into_pieces,
     list_crumbs,
     list_information_warnings,
     list_resting_warnings,
     log_warnings,
-    mend_robot_log,
     name_apart,
     select_long,
 )
-from tau_dyn.log import Log, compute_edge_samples, decimate, find_motion_band, lowpass, resample_segments
+from tau_dyn.log import Log, compute_edge_samples, decimate, find_motion_band, lowpass
 from tau_dyn.model import Model
 from tau_dyn.parameters import Parameters
 from tau_dyn.robot import INERTIAL
@@ -214,8 +214,7 @@ def fit_baseline(
     robot, logs = model.robot, name_apart([*train_logs, *held_logs])
     train_logs, held_logs = logs[: len(train_logs)], logs[len(train_logs) :]
     train, held = (
-        [piece for log in some for piece in resample_segments(mend_robot_log(log, robot))]
-        for some in (train_logs, held_logs)
+        [piece for log in some for piece in cut_into_pieces(log, robot, exclude)] for some in (train_logs, held_logs)
     )
     warnings = [*check_integrity(robot, logs, exclude), *robot.warnings]
     warnings += [*log_warnings(robot, [*train, *held]), *list_crumbs(logs)]

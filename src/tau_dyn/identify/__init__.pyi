@@ -4,11 +4,11 @@ from .common_samples import has_common_samples as has_common_samples
 from .data import (
     Data as Data,
     Logs as Logs,
+    cut_into_pieces as cut_into_pieces,
     drop_repeated_logs as drop_repeated_logs,
     get_log_list as get_log_list,
     list_provenance as list_provenance,
     log_warnings as log_warnings,
-    mend_robot_log as mend_robot_log,
     require_forces as require_forces,
 )
 from .estimate_warnings import list_resting_warnings as list_resting_warnings

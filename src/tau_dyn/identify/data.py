@@ -22,7 +22,7 @@ from tau_dyn.identify.fitted_model import scale_outputs
 from tau_dyn.identify.integrity.log_integrity import check_integrity
 from tau_dyn.identify.motor_electrics import RECORDED
 from tau_dyn.identify.per_log import split_by_log
-from tau_dyn.identify.preparation import SATURATION_RATIO, list_crumbs, refuse_short
+from tau_dyn.identify.preparation import SATURATION_RATIO, list_crumbs, refuse_jumps, refuse_short
 from tau_dyn.identify.regression import build_regression_of_pieces
 from tau_dyn.identify.streaming import (
     BlockExecutor,
@@ -179,9 +179,15 @@ def require_forces(robot: Robot, logs: Sequence[Log | Recording]) -> None:
             )
 
 
-def mend_robot_log(log: Log, robot: Robot) -> Log:
-    """Return a log with its lost samples as gaps, except for a walker: its joints jump when feet touch down."""
-    return log if robot.base_coordinates else mend_log(log, robot.actuated)
+def cut_into_pieces(log: Log, robot: Robot, exclude: tuple[str, ...] = ()) -> list[Log]:
+    """Return a log's even stretches between gaps, which lost samples are, except for a walker: its joints jump at touchdown.
+
+    Raises:
+        InputError: A joint's position jumps at a sample that no column of `exclude` flags.
+    """
+    mended = log if robot.base_coordinates else mend_log(log, robot.actuated)
+    refuse_jumps(mended, robot, exclude)
+    return resample_segments(mended)
 
 
 TRAIN_SHARE = 0.7
@@ -220,8 +226,9 @@ class Data:
     def of(cls, model: Model, logs: Sequence[Log | Recording], **options: Any) -> Data:
         """Cut logs in memory into even pieces; their few lost samples are gaps in the clock."""
         here = [log for log in logs if isinstance(log, Log)]
-        mended = (mend_robot_log(log, model.robot) for log in here if len(here) == len(logs))
-        return cls(model, tuple(logs), tuple(piece for log in mended for piece in resample_segments(log)), **options)
+        exclude = options.get("exclude", ())
+        pieces = [p for log in here if len(here) == len(logs) for p in cut_into_pieces(log, model.robot, exclude)]
+        return cls(model, tuple(logs), tuple(pieces), **options)
 
     @property
     def streams(self) -> bool:

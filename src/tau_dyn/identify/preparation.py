@@ -53,6 +53,7 @@ from tau_dyn.log import (
     compute_edge_samples,
     compute_rest_speed,
     count_short_segments,
+    examine_clock,
     find_motion_band,
 )
 from tau_dyn.message_codes import CodedWarning
@@ -411,13 +412,23 @@ def find_excluded_samples(
 def refuse_jumps(log: Log, robot: Robot, columns: tuple[str, ...]) -> None:
     """Refuse positions that no joint can follow, as filters would turn jumps into motion; samples that a column flags may jump.
 
+    Args:
+        log: A log before any interpolation, or an even stretch.
+        robot: The robot.
+        columns: Columns whose nonzero samples are left out.
+
     Raises:
         InputError: A joint's position jumps.
     """
     left_out = np.zeros(log.n_samples, bool)
     for column in columns:
         left_out |= log.channels.get(column, left_out) != 0
+    gaps = examine_clock(log).gaps
     for joint, kind, fastest in zip(robot.actuated, robot.joint_kinds, robot.velocity_limit, strict=True):
-        found = check_jumps(log, joint, revolute=kind != "prismatic", fastest=float(fastest), left_out=left_out)
+        if not log.has("q", [joint]):
+            continue
+        found = check_jumps(
+            log, joint, revolute=kind != "prismatic", fastest=float(fastest), left_out=left_out, gaps=gaps
+        )
         if found is not None:
             raise InputError("bad_sample", f"{found.sentence} {found.remedy}")

@@ -106,6 +106,8 @@ def build_regression(
     logs = [logs] if isinstance(logs, Log) else list(logs)
     if not logs:
         raise InputError("missing_input", "no log was given")
+    for log in logs:
+        refuse_jumps(log, model.robot, exclude)
     pieces = [piece for log in logs for piece in resample_segments(log)]
     if not pieces:
         raise refuse_short(logs, MIN_SEGMENT_SAMPLES / logs[0].rate_hz)
@@ -345,7 +347,6 @@ def prepare_segment(
     joints, rate = model.robot.actuated, rate_hz or log.rate_hz
     dt = 1 / rate
     raw, force = log.joint("q", joints), log.joint("tau", joints)
-    refuse_jumps(log, model.robot, preparation.exclude)
     q = lowpass(raw, preparation.position_cutoff_hz, rate)
     n_base = len(model.robot.base_coordinates)
     if n_base:

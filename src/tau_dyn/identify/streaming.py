@@ -34,7 +34,7 @@ from tau_dyn.estimate import (
     SufficientStatistics,
 )
 from tau_dyn.exceptions import InputError
-from tau_dyn.identify.preparation import choose_preparation, keep_long, list_crumbs, select_long
+from tau_dyn.identify.preparation import choose_preparation, keep_long, list_crumbs, refuse_jumps, select_long
 from tau_dyn.identify.regression import prepare_segment
 from tau_dyn.log import (
     ROOM_TEMPERATURE,
@@ -117,6 +117,7 @@ class BlockWork:
         factor = preparation.factor(stretch.rate_hz)
         log = self.read(block) if log is None else log
         number = {"campaign": np.full(log.n_samples, float(self.numbers[block.stretch]))}
+        refuse_jumps(log, self.model.robot, preparation.exclude)
         prepared = prepare_segment(self.at, log, preparation, signals=number, rate_hz=stretch.rate_hz)
         first = self._around(block)[0] // factor
         run = prepared.run(self.model).window(slice(block.start - first, block.stop - first))

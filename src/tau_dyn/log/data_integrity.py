@@ -50,7 +50,7 @@ from tau_dyn.log.resample import examine_clock, fill_short_gaps, find_true_runs,
 from tau_dyn.log.signal_checks import FrozenStretch, find_constant_runs, find_frozen_force, find_frozen_positions
 from tau_dyn.log.update_rate import UpdateRate, find_device_clock, find_update_rates, sample_at_updates
 from tau_dyn.message_codes import CodedWarning, RepairedWarning
-from tau_dyn.results import count
+from tau_dyn.results import count, format_list
 
 MIN_STEPS_OFF = 6.0
 """Distance of the neighbours from zero, in median changes of a sample; noise passes four in 1 of 1000 samples."""
@@ -63,6 +63,9 @@ MIN_HELD = 3
 
 MAX_REPEATS = 0.02
 """Share of pairs of equal neighbours above which a channel repeats by rounding and held runs cannot be recognised."""
+
+STALE_COUNTS, STALE_SHARE = 10.0, 4.0
+"""Least step behind a gap, in smallest steps and over the step after it, from which the reading there was one of before it."""
 
 MAX_RUN_S = 0.5
 """Longer zeros [s] mean a drive that is off, or a frozen channel, which has a test of its own."""
@@ -532,6 +535,28 @@ def _leave_out_frozen(log: Log, joints: Sequence[str]) -> Repair:
     return Repair(_take(log, keep, log.t) if stretches and np.count_nonzero(keep) >= MIN_SAMPLES else log, warnings)
 
 
+def _leave_out_stale(log: Log, joints: Sequence[str]) -> Repair:
+    """Leave out readings right behind a gap that are those before it, if the joint is elsewhere in the next sample."""
+    before = np.array([k for k in examine_clock(log).gaps if k + 2 < log.n_samples], dtype=np.intp)
+    keep, stale = np.ones(log.n_samples, bool), []
+    for joint in joints if before.size else ():
+        q = log.joint("q", [joint])[:, 0]
+        steps = np.abs(np.diff(q, append=q[-1]))
+        smallest = steps[steps > 0].min(initial=np.inf)
+        alone = steps[before + 1] > np.maximum(STALE_COUNTS * smallest, STALE_SHARE * steps[before + 2])
+        held = before[(q[before + 1] == q[before]) & alone]
+        keep[held + 1] = False
+        stale += [joint] * bool(held.size)
+    if keep.all():
+        return Repair(log, [])
+    n, first = int(np.count_nonzero(~keep)), float(log.t[np.argmin(keep)])
+    sentence = (
+        f"{log.name}: {count(n, 'sample')} behind {'a gap' if n == 1 else 'gaps'} (first at {first:.6g} s) still "
+        f"{'holds' if n == 1 else 'hold'} the position of {format_list(stale)} before it; left out."
+    )
+    return Repair(_take(log, keep, log.t), [RepairedWarning("held_channel", sentence)])
+
+
 def _frozen_sentence(log: Log, frozen: FrozenStretch) -> str:
     span = f"from {log.t[frozen.start]:.6g} to {log.t[frozen.stop - 1]:.6g} s"
     return (
@@ -602,6 +627,7 @@ _STEPS = (
     _find_doubled_channels,
     _mend_updates,
     _leave_out_frozen,
+    _leave_out_stale,
     _mend_samples,
     _mend_dropouts,
     _fill_gaps,

@@ -291,7 +291,7 @@ def choose_force_cutoff(bands: Sequence[MotionBand], rate_hz: float, factor: flo
     edge = max(float(band.edge_hz.max()) for band in bands)
     moving = [band.noise_edge_hz[band.edge_hz > 0] for band in bands]
     noise_edge = min((float(x.min()) for x in moving if x.size), default=rate_hz)
-    return max(min(factor * edge, noise_edge, 0.16 * rate_hz), edge)
+    return min(max(min(factor * edge, noise_edge, 0.16 * rate_hz), edge), 0.4 * rate_hz)
 
 
 FINEST_COUNT = 2.0**-26

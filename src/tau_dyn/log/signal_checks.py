@@ -13,7 +13,7 @@ a row.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, NamedTuple
 
@@ -106,6 +106,9 @@ class LogCheck(Shown):
         return {"name": self.name, "fit_for_use": self.fit_for_use, "findings": findings, "numbers": self.numbers}
 
 
+_ROUNDING = 1e-12
+"""Change of a position, as a share of the largest one, that is rounding of an interpolation."""
+
 _FURTHER = 10.0
 """Least size of a jump over the 90 % quantile of steps."""
 
@@ -123,16 +126,23 @@ _TURN = 0.1
 """Largest distance of a jump from whole turns, as a share of one, if the encoder wraps."""
 
 
-def find_jumps(q: NDArray[np.float64], fastest: float = 0.0, count: float = 0.0) -> NDArray[np.intp]:
+def find_jumps(
+    q: NDArray[np.float64], fastest: float = 0.0, count: float = 0.0, t: NDArray[np.float64] | None = None
+) -> NDArray[np.intp]:
     """Return the samples after which a position (N,) jumps.
 
     Args:
-        q: Positions [m or rad], evenly sampled or nearly so.
+        q: Positions [m or rad].
         fastest: The joint's speed limit [per sample]; slower steps are motion.
         count: Largest count that its encoder may have [m or rad]; a joint at rest may step by one.
+        t: Times (N,) [s]; None for an even clock.
     """
-    changes = np.flatnonzero(np.diff(q))  # a reading held over several samples is one
+    # a reading held over several samples is one; interpolated, it changes by rounding
+    changes = np.flatnonzero(np.abs(np.diff(q)) > _ROUNDING * np.abs(q).max(initial=0.0))
     step = np.diff(q)[changes]
+    if t is not None:  # a longer interval allows a larger step
+        passed = np.diff(t)
+        step = step * np.median(passed) / np.maximum(passed, np.median(passed))[changes]
     if step.size < 2:
         return np.zeros(0, np.intp)
     size = np.abs(step)
@@ -144,12 +154,16 @@ def find_jumps(q: NDArray[np.float64], fastest: float = 0.0, count: float = 0.0)
     return changes[:0] if found.size and _are_counts(step, found, count) else changes[found]
 
 
+_SPLIT = 1.5
+"""Largest count over the largest change: resampled, a count is split, and less than a quarter is in a neighbouring change."""
+
+
 def _are_counts(step: NDArray[np.float64], found: NDArray[np.intp], coarsest: float) -> bool:
-    """Return whether the largest changes are counts of an encoder at rest: without them the joint moves less than one count."""
+    """Return whether the largest changes are counts of an encoder at rest: without them the joint moves by one count at most."""
     count, least = float(np.abs(step[found]).max()), float(np.abs(step[found]).min())
     rest = step.copy()
     rest[found] = 0.0
-    return count < min(coarsest, 2 * least) and float(np.ptp(np.cumsum(rest))) < count
+    return count < min(coarsest, 2 * least) and float(np.ptp(np.cumsum(rest))) < _SPLIT * count
 
 
 def check_jumps(
@@ -159,6 +173,7 @@ def check_jumps(
     revolute: bool | None = None,
     fastest: float = 0.0,
     left_out: NDArray[np.bool_] | None = None,
+    gaps: Sequence[int] = (),
 ) -> CheckFinding | None:
     """Return a finding about a joint's positions if they jump, else None.
 
@@ -168,9 +183,11 @@ def check_jumps(
         revolute: Whether it turns, None if unknown.
         fastest: Its speed limit [m/s or rad/s], if known.
         left_out: Samples (N,) that are not used; jumps to or from them are ignored.
+        gaps: Samples before gaps in the clock, in which a joint may move far.
     """
     q = log.channels[f"q_{joint}"]
-    at = find_jumps(q, fastest * log.dt if np.isfinite(fastest) else 0.0, COARSEST_COUNT[revolute])
+    at = find_jumps(q, fastest * log.dt if np.isfinite(fastest) else 0.0, COARSEST_COUNT[revolute], log.t)
+    at = at[~np.isin(at, gaps)]
     if left_out is not None:
         at = at[~(left_out[at] | left_out[at + 1])]
     if not at.size:

@@ -25,11 +25,12 @@ from tau_dyn.identify import (
     check_against_robot,
     choose_preparation,
     complete_positions,
+    cut_into_pieces,
     log_warnings,
     prepare_segment,
     require_forces,
 )
-from tau_dyn.log import Log, find_true_runs, mend_log, resample_segments
+from tau_dyn.log import Log, find_true_runs
 from tau_dyn.message_codes import format_warnings
 from tau_dyn.model import Model
 from tau_dyn.monitor.change_detection import (
@@ -223,7 +224,7 @@ class Watch:
         require_forces(self.model.robot, [log])
         if log.name not in self.logs:
             self.logs.append(log.name)
-        pieces = resample_segments(mend_log(log, self.model.robot.actuated))
+        pieces = cut_into_pieces(log, self.model.robot, self.exclude)
         self.warnings += [w for w in log_warnings(self.model.robot, pieces) if w not in self.warnings]
         if self._preparation is None:
             self._preparation = choose_preparation(self.model.robot, pieces, self.exclude)
