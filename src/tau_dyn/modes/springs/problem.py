@@ -38,12 +38,14 @@ STIFFNESS_PRIOR = float(np.log(10.0))
 """Prior standard deviation of a stiffness' logarithm."""
 LOSS, LOSS_PRIOR = 0.03, 0.3
 """Prior of the loss factor `d w_0 / k`, twice the damping ratio of one spring: machines have 0.5 to 5 % of damping ratio."""
-WINDOWS = (0.1, 0.05, 0.02, 0.01, 0.003)
-"""`sigma` of the homotopy as a share of the band: from the usual distance of resonances to their usual width."""
+WINDOWS = (0.3, 0.1, 0.05, 0.02, 0.01, 0.003)
+"""`sigma` of the homotopy as a share of the band: from beyond the usual distance of resonances to their usual width."""
 FACTORS = 10.0 ** np.arange(-3, 5.5, 1.0)
 """Factors of the stiffness that are tried at the start."""
 STARTS, STATED_STARTS, START_STEPS = 8, 2, 20
 """Best of these from which the fit is begun, if some springs have no value and if all have one, and its steps."""
+SAME_START = 0.3
+"""Largest difference of the stiffnesses' logarithms of two starts that end in the same minimum."""
 ROUGH_ERROR, ROUGH_FLOOR = 0.1, 0.01
 """Relative errors of a line and of an output's mean, by which transforms with `sigma` above zero are weighted."""
 CONVERGED = 1e-3
@@ -119,8 +121,8 @@ class SpringProblem:
         except InputError:
             return self
 
-    def start(self, has_value: np.ndarray) -> tuple[np.ndarray, SpringProblem]:
-        """Return the first estimate (t,), and the problem there with this prior for springs without a value.
+    def start(self, has_value: np.ndarray) -> list[tuple[np.ndarray, SpringProblem]]:
+        """Return first estimates (t,), the best first, each with the problem there and its prior for springs without a value.
 
         Args:
             has_value: Which fitted springs have a value in the robot file (n,).
@@ -128,18 +130,23 @@ class SpringProblem:
         n, theta = self.n, self.prior.copy()
         mass = np.max([np.diag(m.M)[m.parameters[: len(self.fitted)]] for m in self.models], axis=0)[self.fitted]
         theta[:n] = np.where(has_value, self.prior[:n], np.log(mass * self.w0**2))
-        spectra = self.transform_all(WINDOWS[0])
-        tried = []
-        for move in self._list_moves(has_value):
-            moved = theta + np.concatenate([move, np.zeros(len(theta) - n)])
-            tried.append((self.measure(moved, spectra)[0], tuple(moved)))
+        wide, narrow = (self.transform_all(share) for share in WINDOWS[:2])
+        moved = [theta + np.concatenate([move, np.zeros(len(theta) - n)]) for move in self._list_moves(has_value)]
         ends = []
-        for _, start in sorted(tried)[: STATED_STARTS if has_value.all() else STARTS]:
-            end, _, _ = self.descend(np.array(start), spectra, START_STEPS)
-            ends.append((self.measure(end, spectra)[0], tuple(end)))
-        theta = np.array(min(ends)[1])
-        prior = np.concatenate([np.where(has_value, self.prior[:n], theta[:n]), self.prior[n:]])
-        return theta, replace(self, prior=prior).move(theta)
+        for ways in ((wide, narrow), (narrow,)):
+            tried = sorted((self.measure(start, ways[0])[0], tuple(start)) for start in moved)
+            for _, start in tried[: STATED_STARTS if has_value.all() else STARTS]:
+                end = np.array(start)
+                for spectra in ways:
+                    end, _, _ = self.descend(end, spectra, START_STEPS)
+                ends.append((self.measure(end, narrow)[0], tuple(end)))
+        found: list[tuple[np.ndarray, SpringProblem]] = []
+        for theta in (np.array(end) for _, end in sorted(ends)):
+            if any(np.abs(theta[:n] - other[:n]).max() < SAME_START for other, _ in found):
+                continue
+            prior = np.concatenate([np.where(has_value, self.prior[:n], theta[:n]), self.prior[n:]])
+            found.append((theta, replace(self, prior=prior).move(theta)))
+        return found
 
     def _list_moves(self, has_value: np.ndarray) -> list[np.ndarray]:
         """Return changes of the stiffnesses' logarithms (n,) that are tried: a factor for each kind of spring."""
