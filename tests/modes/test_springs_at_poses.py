@@ -12,6 +12,7 @@ from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.log import Log
 from tau_dyn.mechanism import FlexibleModel, state_springs, write_springs
 from tau_dyn.modes import SpringFit, find_springs
+from tau_dyn.modes.springs.problem import SpringProblem
 from tau_dyn.robot import Robot, Spring, load_robot
 
 LINK = """<link name="{name}_link"><inertial><origin xyz="0.25 0 0"/><mass value="{mass}"/>
@@ -84,6 +85,23 @@ def test_springs_are_recovered_within_their_errors(found) -> None:
         assert abs(spring.spring.damping - true.damping) < 4 * spring.damping_stderr < 0.4 * true.damping
     assert found.converged and not found.warnings
     assert min(min(record.fit_percent) for record in found.records) > 90
+
+
+def test_the_smallest_residual_of_all_starts_counts(arm, truth, found, monkeypatch) -> None:
+    """A first start with springs 10^4 times too stiff ends in a wrong minimum; the second one has the springs."""
+    starts = SpringProblem.start
+
+    def with_a_wrong_one(self, has_value):
+        (theta, problem), *others = starts(self, has_value)
+        stiff = theta + np.log(1e4) * (np.arange(len(theta)) < self.n)
+        return [(stiff, problem.move(stiff)), (theta, problem), *others]
+
+    monkeypatch.setattr(SpringProblem, "start", with_a_wrong_one)
+    again = find_springs(
+        arm, [strike(truth, q, seed) for seed, q in enumerate(POSES)], INPUTS, OUTPUTS, springs=["drives"]
+    )
+    for spring, before in zip(again.springs, found.springs, strict=True):
+        assert spring.spring.stiffness == pytest.approx(before.spring.stiffness, rel=1e-3)
 
 
 def test_resonances_follow_at_other_poses(found, truth) -> None:
