@@ -38,8 +38,9 @@ BEGIN_SHARE = 1e-3
 
 RINGING = 40
 """Samples before and after contact in which a steep anti-aliasing filter rings: half the length of usual ones."""
-MAX_GROUPS = 32
-"""Groups of the samples of one contact, whose force noise is common."""
+MAX_GROUPS = 128
+"""Groups of the samples of one contact, whose force noise is common. Large groups leave out noise of high frequencies, which
+biases the springs of stiff rods: of a Delta's intervals 73 instead of 91 % held with 32 groups."""
 
 
 @dataclass(frozen=True)

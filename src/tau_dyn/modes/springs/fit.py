@@ -16,7 +16,7 @@ from tau_dyn.log import Log
 from tau_dyn.mechanism import FlexibleModel, get_rods, name_rod_spring, state_springs
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.modes.springs.channels import PosedRecord, build_posed_record
-from tau_dyn.modes.springs.problem import WINDOWS, SpringProblem
+from tau_dyn.modes.springs.problem import SAME_START, WINDOWS, SpringProblem
 from tau_dyn.modes.springs.result import SpringFit
 from tau_dyn.robot import Robot
 
@@ -72,8 +72,13 @@ def find_springs(
     flexible, fitted, has_value = _free_springs(robot, springs)
     nominal = {s.joint: s.stiffness for s in (*robot.springs, *robot.drive_springs)}
     say("starting values")
-    ends = []
+    near: list[tuple[np.ndarray, SpringProblem]] = []
     for theta, problem in SpringProblem.build(flexible, fitted, records).start(has_value)[:MAX_STARTS]:
+        theta, problem = _descend_windows(theta, problem, say)
+        if not any(np.abs(theta - other)[: problem.n].max() < SAME_START for other, _ in near):
+            near.append((theta, problem))
+    ends = []
+    for theta, problem in near:
         ends.append(_fit_from(theta, problem, tested, nominal, say))
         if has_value.all() and _explain(ends[-1]) >= MIN_FIT_PERCENT:
             break
@@ -101,6 +106,17 @@ def _measure_residual(found: SpringFit) -> float:
     return float(np.sum(np.log(np.maximum(left, 1e-9))))
 
 
+def _descend_windows(
+    theta: np.ndarray, problem: SpringProblem, say: Callable[[str], None]
+) -> tuple[np.ndarray, SpringProblem]:
+    """Return the values (t,) and the problem after the homotopy from a wide window to a narrow one."""
+    for share in WINDOWS[1:]:
+        say(f"fitting under an exponential window of {share:g} of the band")
+        theta = problem.descend(theta, problem.transform_all(share), STEPS)[0]
+        problem = problem.move(theta)
+    return theta, problem
+
+
 def _fit_from(
     theta: np.ndarray,
     problem: SpringProblem,
@@ -108,12 +124,8 @@ def _fit_from(
     nominal: Mapping[str, float],
     say: Callable[[str], None],
 ) -> SpringFit:
-    """Return the fit from a start (t,)."""
+    """Return the fit of all lines from a start (t,)."""
     information, steps = np.eye(len(theta)), 0
-    for share in WINDOWS[1:]:
-        say(f"fitting under an exponential window of {share:g} of the band")
-        theta = problem.descend(theta, problem.transform_all(share), STEPS)[0]
-        problem = problem.move(theta)
     say("fitting all lines")
     data = problem.transform_all(0.0)
     for _ in range(NOISE_ROUNDS):

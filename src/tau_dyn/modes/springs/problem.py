@@ -132,14 +132,12 @@ class SpringProblem:
         theta[:n] = np.where(has_value, self.prior[:n], np.log(mass * self.w0**2))
         wide, narrow = (self.transform_all(share) for share in WINDOWS[:2])
         moved = [theta + np.concatenate([move, np.zeros(len(theta) - n)]) for move in self._list_moves(has_value)]
+        tried = sorted((self.measure(start, wide)[0], tuple(start)) for start in moved)
         ends = []
-        for ways in ((wide, narrow), (narrow,)):
-            tried = sorted((self.measure(start, ways[0])[0], tuple(start)) for start in moved)
-            for _, start in tried[: STATED_STARTS if has_value.all() else STARTS]:
-                end = np.array(start)
-                for spectra in ways:
-                    end, _, _ = self.descend(end, spectra, START_STEPS)
-                ends.append((self.measure(end, narrow)[0], tuple(end)))
+        for _, start in tried[: STATED_STARTS if has_value.all() else STARTS]:
+            end, _, _ = self.descend(np.array(start), wide, START_STEPS)
+            end, _, _ = self.descend(end, narrow, START_STEPS)
+            ends.append((self.measure(end, narrow)[0], tuple(end)))
         found: list[tuple[np.ndarray, SpringProblem]] = []
         for theta in (np.array(end) for _, end in sorted(ends)):
             if any(np.abs(theta[:n] - other[:n]).max() < SAME_START for other, _ in found):
@@ -221,10 +219,13 @@ class SpringProblem:
                     used.append(_estimate_noise(spectrum, residual, nuisance, n_known))
                 else:
                     used.append(noise[len(used)])
+                missed, ends = (_stack(_weigh(x, used[-1], spectrum.s)) for x in (residual[:, :, None], nuisance))
+                if n_known:
+                    c = _solve_nuisance(ends, n_known, ends.T @ missed[:, 0])
+                    found = found.with_force_errors(spectrum, c[-n_known:])
                 by_stiffness = found.differentiate(at.parameters)
                 columns = by_stiffness @ slopes[0] + (spectrum.s[:, None, None] * by_stiffness) @ slopes[1]
-                both = np.concatenate([residual[:, :, None], columns], axis=2)
-                rows, ends = (_stack(_weigh(x, used[-1], spectrum.s)) for x in (both, nuisance))
+                rows = np.hstack([missed, _stack(_weigh(columns, used[-1], spectrum.s))])
                 gram = _compute_gram(rows, ends, n_known)
                 cost += float(gram[0, 0])
                 information += gram[1:, 1:]
