@@ -128,6 +128,15 @@ def test_of_two_columns_the_one_not_absorbed_still_counts(make, rng):
     assert_allclose(explained(null_model, np.column_stack([C, absorbed])), explained(null_model, C), rtol=1e-3)
 
 
+def test_a_column_of_rounding_is_no_column() -> None:
+    """In samples where a column is zero but for rounding, which may make its square negative, the other one counts alone."""
+    C = np.random.default_rng(0).normal(size=(50, 2))
+    G = np.stack([C.T @ C, np.diag([1e-17, 30.0])])
+    raw = np.stack([np.diag(C.T @ C), [-1e-18, 30.0]])
+    T = compute_score_statistics(np.ones((2, 2, 1)), G, raw, np.zeros(2, bool), 1e-3)
+    assert T[1, 0] == pytest.approx(1 / 30)
+
+
 @pytest.mark.parametrize("dof", [1, 3])
 def test_T_of_pure_noise_is_chi_square(make, rng, dof):
     """Coloured noise, gaps and an estimated scale: T of slow columns follows chi-square with as many degrees of freedom."""

@@ -374,6 +374,10 @@ def compute_statistics_of_rows(
     return compute_score_statistics(s, G, np.diagonal(square, axis1=1, axis2=2), nonnegative, absorbed)
 
 
+_ROUNDING = 1e-12
+"""Square of a column, as a share of the largest one's in other samples, that is rounding of a difference of sums."""
+
+
 def compute_score_statistics(
     s: np.ndarray, G: np.ndarray, raw: np.ndarray, nonnegative: np.ndarray, absorbed: float = MIN_UNABSORBED_SHARE
 ) -> np.ndarray:
@@ -406,7 +410,7 @@ def compute_score_statistics(
 
 def _unconstrained(s: np.ndarray, G: np.ndarray, raw: np.ndarray, absorbed: float) -> tuple[np.ndarray, np.ndarray]:
     """Return `T` (g, d) and the amplitudes (g, k, d)."""
-    norm = np.sqrt(np.maximum(raw, 1e-300))
+    norm = np.sqrt(np.where(raw > _ROUNDING * raw.max(axis=0), raw, np.inf))  # columns of rounding leave nothing
     scaled = G / norm[:, :, None] / norm[:, None, :]
     values, vectors = np.linalg.eigh(scaled)
     inverse = np.where(values > absorbed, 1 / np.maximum(values, absorbed), 0.0)
