@@ -16,7 +16,7 @@ from tau_dyn.log import Log
 from tau_dyn.mechanism import FlexibleModel, get_rods, name_rod_spring, state_springs
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.modes.springs.channels import PosedRecord, build_posed_record
-from tau_dyn.modes.springs.problem import SAME_START, WINDOWS, SpringProblem
+from tau_dyn.modes.springs.problem import START_SPACING, WINDOWS, SpringProblem
 from tau_dyn.modes.springs.result import SpringFit
 from tau_dyn.robot import Robot
 
@@ -75,7 +75,7 @@ def find_springs(
     near: list[tuple[np.ndarray, SpringProblem]] = []
     for theta, problem in SpringProblem.build(flexible, fitted, records).start(has_value)[:MAX_STARTS]:
         theta, problem = _descend_windows(theta, problem, say)
-        if not any(np.abs(theta - other)[: problem.n].max() < SAME_START for other, _ in near):
+        if not any(np.abs(theta - other)[: problem.n].max() < START_SPACING for other, _ in near):
             near.append((theta, problem))
     ends = []
     for theta, problem in near:

@@ -44,8 +44,8 @@ FACTORS = 10.0 ** np.arange(-3, 5.5, 1.0)
 """Factors of the stiffness that are tried at the start."""
 STARTS, STATED_STARTS, START_STEPS = 8, 2, 20
 """Best of these from which the fit is begun, if some springs have no value and if all have one, and its steps."""
-SAME_START = 0.3
-"""Largest difference of the stiffnesses' logarithms of two starts that end in the same minimum."""
+START_SPACING = 0.3
+"""Least difference of the stiffnesses' logarithms of two starts that may end in different minima."""
 ROUGH_ERROR, ROUGH_FLOOR = 0.1, 0.01
 """Relative errors of a line and of an output's mean, by which transforms with `sigma` above zero are weighted."""
 CONVERGED = 1e-3
@@ -140,7 +140,7 @@ class SpringProblem:
             ends.append((self.measure(end, narrow)[0], tuple(end)))
         found: list[tuple[np.ndarray, SpringProblem]] = []
         for theta in (np.array(end) for _, end in sorted(ends)):
-            if any(np.abs(theta[:n] - other[:n]).max() < SAME_START for other, _ in found):
+            if any(np.abs(theta[:n] - other[:n]).max() < START_SPACING for other, _ in found):
                 continue
             prior = np.concatenate([np.where(has_value, self.prior[:n], theta[:n]), self.prior[n:]])
             found.append((theta, replace(self, prior=prior).move(theta)))
