@@ -17,13 +17,11 @@ from tau_dyn.mechanism import FlexibleModel, get_rods, name_rod_spring, state_sp
 from tau_dyn.message_codes import CodedWarning
 from tau_dyn.modes.springs.channels import PosedRecord, build_posed_record
 from tau_dyn.modes.springs.problem import START_SPACING, WINDOWS, SpringProblem
-from tau_dyn.modes.springs.result import SpringFit
+from tau_dyn.modes.springs.result import RecordFit, SpringFit
 from tau_dyn.robot import Robot
 
 STEPS = 15
 """Gauss-Newton steps for each `sigma` of the homotopy, and for each estimate of the noise."""
-MAX_STARTS = 4
-"""Starts from which the fit is begun. The smallest residual of all counts if springs have no value; else the first good one."""
 NOISE_ROUNDS = 4
 """Estimates of the noise in turn with the springs; the second one changes standard errors by less than 5 %."""
 MIN_FIT_PERCENT = 50.0
@@ -72,17 +70,16 @@ def find_springs(
     flexible, fitted, has_value = _free_springs(robot, springs)
     nominal = {s.joint: s.stiffness for s in (*robot.springs, *robot.drive_springs)}
     say("starting values")
-    near: list[tuple[np.ndarray, SpringProblem]] = []
-    for theta, problem in SpringProblem.build(flexible, fitted, records).start(has_value)[:MAX_STARTS]:
-        theta, problem = _descend_windows(theta, problem, say)
-        if not any(np.abs(theta - other)[: problem.n].max() < START_SPACING for other, _ in near):
-            near.append((theta, problem))
-    ends = []
-    for theta, problem in near:
-        ends.append(_fit_from(theta, problem, tested, nominal, say))
-        if has_value.all() and _explain(ends[-1]) >= MIN_FIT_PERCENT:
-            break
-    best = replace(min(ends, key=_measure_residual), inputs=tuple(inputs), outputs=tuple(outputs), seed=seed)
+    near = SpringProblem.build(flexible, fitted, records).start(has_value)
+    for share in WINDOWS[1:]:
+        say(f"fitting under an exponential window of {share:g} of the band")
+        near = _descend_window(near, share)
+    say("fitting all lines")
+    if len(near) > 1:
+        near = [_fit_lines(theta, problem, 1)[:2] for theta, problem in near]
+        near = [min(near, key=lambda end: _measure_residual(end[1].judge(end[0], held_out=False)))]
+    best = _build_result(*_fit_lines(*near[0], NOISE_ROUNDS), tested, nominal)
+    best = replace(best, inputs=tuple(inputs), outputs=tuple(outputs), seed=seed)
     if _explain(best) < MIN_FIT_PERCENT:
         raise CannotAnswer(
             "no_solution",
@@ -100,40 +97,53 @@ def _explain(found: SpringFit) -> float:
     return max(max(record.fit_percent) for record in found.records if not record.held_out)
 
 
-def _measure_residual(found: SpringFit) -> float:
-    """Return the logarithm of the training records' residual, summed over outputs."""
-    left = [100 - x for record in found.records if not record.held_out for x in record.fit_percent]
+def _measure_residual(records: Sequence[RecordFit]) -> float:
+    """Return the logarithm of the records' residual, summed over outputs."""
+    left = [100 - x for record in records for x in record.fit_percent]
     return float(np.sum(np.log(np.maximum(left, 1e-9))))
 
 
-def _descend_windows(
-    theta: np.ndarray, problem: SpringProblem, say: Callable[[str], None]
-) -> tuple[np.ndarray, SpringProblem]:
-    """Return the values (t,) and the problem after the homotopy from a wide window to a narrow one."""
-    for share in WINDOWS[1:]:
-        say(f"fitting under an exponential window of {share:g} of the band")
+def _descend_window(
+    starts: Sequence[tuple[np.ndarray, SpringProblem]], share: float
+) -> list[tuple[np.ndarray, SpringProblem]]:
+    """Return the distinct ends of fits under a window of a share of the band: values (t,) and the problem there."""
+    ends: list[tuple[np.ndarray, SpringProblem]] = []
+    for theta, problem in starts:
         theta = problem.descend(theta, problem.transform_all(share), STEPS)[0]
-        problem = problem.move(theta)
-    return theta, problem
+        if not any(np.abs(theta - other)[: problem.n].max() < START_SPACING for other, _ in ends):
+            ends.append((theta, problem.move(theta)))
+    return ends
 
 
-def _fit_from(
-    theta: np.ndarray,
-    problem: SpringProblem,
-    tested: Sequence[PosedRecord],
-    nominal: Mapping[str, float],
-    say: Callable[[str], None],
-) -> SpringFit:
-    """Return the fit of all lines from a start (t,)."""
-    information, steps = np.eye(len(theta)), 0
-    say("fitting all lines")
-    data = problem.transform_all(0.0)
-    for _ in range(NOISE_ROUNDS):
+def _fit_lines(
+    theta: np.ndarray, problem: SpringProblem, rounds: int
+) -> tuple[np.ndarray, SpringProblem, np.ndarray, int]:
+    """Return the values (t,), the problem there, the information (t, t) and the last steps of a fit of all lines.
+
+    Args:
+        theta: Start (t,).
+        problem: The problem there.
+        rounds: Estimates of the noise, in turn with the springs.
+    """
+    information, steps, data = np.eye(len(theta)), 0, problem.transform_all(0.0)
+    for _ in range(rounds):
         theta, information, steps = problem.descend(theta, data, STEPS)
         try:
             problem = problem.linearise(theta)
         except InputError as fault:
             raise _refuse(str(fault.args[0])) from fault
+    return theta, problem, information, steps
+
+
+def _build_result(
+    theta: np.ndarray,
+    problem: SpringProblem,
+    information: np.ndarray,
+    steps: int,
+    tested: Sequence[PosedRecord],
+    nominal: Mapping[str, float],
+) -> SpringFit:
+    """Return the springs at the end of a fit; the caller adds the names of the columns."""
     covariance = np.linalg.inv(information)
     errors = np.sqrt(np.diag(covariance)[: problem.n])
     return SpringFit(
@@ -145,7 +155,6 @@ def _fit_from(
         (*problem.judge(theta, held_out=False), *problem.at_records(tested, theta).judge(theta, held_out=True)),
         steps,
         steps < STEPS,
-        seed=0,
     )
 
 

@@ -19,7 +19,7 @@ negligible for all others.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -44,6 +44,8 @@ FACTORS = 10.0 ** np.arange(-3, 5.5, 1.0)
 """Factors of the stiffness that are tried at the start."""
 STARTS, STATED_STARTS, START_STEPS = 8, 2, 20
 """Best of these from which the fit is begun, if some springs have no value and if all have one, and its steps."""
+MAX_STARTS = 4
+"""Starts from which the fit is begun; the end with the smallest residual counts."""
 START_SPACING = 0.3
 """Least difference of the stiffnesses' logarithms of two starts that may end in different minima."""
 ROUGH_ERROR, ROUGH_FLOOR = 0.1, 0.01
@@ -132,19 +134,22 @@ class SpringProblem:
         theta[:n] = np.where(has_value, self.prior[:n], np.log(mass * self.w0**2))
         wide, narrow = (self.transform_all(share) for share in WINDOWS[:2])
         moved = [theta + np.concatenate([move, np.zeros(len(theta) - n)]) for move in self._list_moves(has_value)]
-        tried = sorted((self.measure(start, wide)[0], tuple(start)) for start in moved)
-        ends = []
-        for _, start in tried[: STATED_STARTS if has_value.all() else STARTS]:
-            end, _, _ = self.descend(np.array(start), wide, START_STEPS)
-            end, _, _ = self.descend(end, narrow, START_STEPS)
-            ends.append((self.measure(end, narrow)[0], tuple(end)))
-        found: list[tuple[np.ndarray, SpringProblem]] = []
-        for theta in (np.array(end) for _, end in sorted(ends)):
-            if any(np.abs(theta[:n] - other[:n]).max() < START_SPACING for other, _ in found):
-                continue
+        starts = self._rank(moved, wide)[: STATED_STARTS if has_value.all() else STARTS]
+        ends = self._rank([self.descend(start, wide, START_STEPS)[0] for start in starts], wide)[:MAX_STARTS]
+        found = []
+        for theta in self._rank([self.descend(end, narrow, START_STEPS)[0] for end in ends], narrow):
             prior = np.concatenate([np.where(has_value, self.prior[:n], theta[:n]), self.prior[n:]])
             found.append((theta, replace(self, prior=prior).move(theta)))
         return found
+
+    def _rank(self, points: Sequence[np.ndarray], spectra: Sequence[Sequence[Spectrum]]) -> list[np.ndarray]:
+        """Return values (t,) by their cost, the least first, without those next to a better one."""
+        ranked = sorted((self.measure(point, spectra)[0], tuple(point)) for point in points)
+        kept: list[np.ndarray] = []
+        for point in (np.array(x) for _, x in ranked):
+            if not any(np.abs(point - other)[: self.n].max() < START_SPACING for other in kept):
+                kept.append(point)
+        return kept
 
     def _list_moves(self, has_value: np.ndarray) -> list[np.ndarray]:
         """Return changes of the stiffnesses' logarithms (n,) that are tried: a factor for each kind of spring."""
@@ -220,13 +225,13 @@ class SpringProblem:
                 else:
                     used.append(noise[len(used)])
                 missed, ends = (_stack(_weigh(x, used[-1], spectrum.s)) for x in (residual[:, :, None], nuisance))
+                solve = _factor_nuisance(ends, n_known)
                 if n_known:
-                    c = _solve_nuisance(ends, n_known, ends.T @ missed[:, 0])
-                    found = found.with_force_errors(spectrum, c[-n_known:])
+                    found = found.with_force_errors(spectrum, solve(ends.T @ missed[:, 0])[-n_known:])
                 by_stiffness = found.differentiate(at.parameters)
                 columns = by_stiffness @ slopes[0] + (spectrum.s[:, None, None] * by_stiffness) @ slopes[1]
                 rows = np.hstack([missed, _stack(_weigh(columns, used[-1], spectrum.s))])
-                gram = _compute_gram(rows, ends, n_known)
+                gram = _compute_gram(rows, ends, solve)
                 cost += float(gram[0, 0])
                 information += gram[1:, 1:]
                 gradient = gradient - gram[1:, 0]
@@ -349,28 +354,31 @@ def _project(residual: np.ndarray, nuisance: np.ndarray, n_known: int, sigma: np
     """Return residuals (F, p) without the part that nuisance columns (F, p, m) and offsets explain at a deviation (F, p)."""
     rows, columns = (_weigh(x, sigma, s) for x in (residual[:, :, None], nuisance))
     flat = _stack(columns)
-    c = _solve_nuisance(flat, n_known, flat.T @ _stack(rows)[:, 0])
+    c = _factor_nuisance(flat, n_known)(flat.T @ _stack(rows)[:, 0])
     return sigma * (rows[:, :, 0] - columns @ c)
 
 
-def _compute_gram(rows: np.ndarray, nuisance: np.ndarray, n_known: int) -> np.ndarray:
+def _compute_gram(rows: np.ndarray, nuisance: np.ndarray, solve: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
     """Return the products (c, c) of rows (N, c) of which nuisance columns (N, m) explain nothing any more."""
     mixed = nuisance.T @ rows
-    return rows.T @ rows - mixed.T @ _solve_nuisance(nuisance, n_known, mixed)
+    return rows.T @ rows - mixed.T @ solve(mixed)
 
 
-def _solve_nuisance(nuisance: np.ndarray, n_known: int, right: np.ndarray) -> np.ndarray:
-    """Return least-squares coefficients (m, ..) of columns (N, m), the last `n_known` of which have a unit prior.
+def _factor_nuisance(nuisance: np.ndarray, n_known: int) -> Callable[[np.ndarray], np.ndarray]:
+    """Return the map from products with columns (N, m) to least-squares coefficients (m, ..).
 
-    Columns are scaled to one; a ridge of `RIDGE` holds those that others repeat.
+    The last `n_known` have a unit prior. Columns are scaled to one; a ridge of `RIDGE` holds those that others repeat.
     """
     m = nuisance.shape[1]
     if m == 0:
-        return right
+        return lambda right: right
     gram = nuisance.T @ nuisance
     gram[range(m - n_known, m), range(m - n_known, m)] += 1.0
     scale = 1 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    gram = gram * np.outer(scale, scale) + RIDGE * np.eye(m)
-    scaled = right * (scale if right.ndim == 1 else scale[:, None])
-    found = cho_solve(cho_factor(gram), scaled)
-    return found * (scale if right.ndim == 1 else scale[:, None])
+    factor = cho_factor(gram * np.outer(scale, scale) + RIDGE * np.eye(m))
+
+    def solve(right: np.ndarray) -> np.ndarray:
+        by = scale if right.ndim == 1 else scale[:, None]
+        return cho_solve(factor, right * by) * by
+
+    return solve
