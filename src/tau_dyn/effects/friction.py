@@ -192,10 +192,6 @@ class QuadraticDrag(JointwiseEffect):
         return [joint.v * np.abs(joint.v)]
 
 
-_MEMORY_PERIODS = 4.0
-"""Periods of the low-pass' cutoff over which a step is smoothed, two to each side."""
-_KNEE_AT_SPEED = 0.2
-"""Share of the fast speeds from which a knee is observable at speed, independent of starts and reversals."""
 PARABOLA = 2.0
 """Power that denotes the law without a fitted knee: the parabola `x (2 - x)` that levels off at its knee, the top speed."""
 _KNEES = {0.0: (0.04, 0.1, 0.25, 0.6), 0.5: (0.03, 0.1), 1.5: (0.1,)}
@@ -260,14 +256,6 @@ class ViscousCurvature(JointwiseEffect):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return knees below the fast speeds for each power; an empty list for a joint at rest.
-
-        Friction that levels off to a constant (power 0) at a low knee differs from Coulomb friction at starts and reversals
-        alone. If the speed passes the knee within the low-pass' memory, it cannot be distinguished from their own transient.
-        """
-        k = scene.index(joints[0])
-        fast, least = float(scene.fast[k]), 0.0
-        if scene.hard is not None and np.isfinite(scene.cutoff_hz):
-            least = min(_MEMORY_PERIODS * float(scene.hard[k]) / scene.cutoff_hz, _KNEE_AT_SPEED * fast)
-        rows = [{"knee": share * fast, "power": p} for p, shares in _KNEES.items() for share in shares if fast > 0]
-        return [row for row in rows if row["power"] != 0 or row["knee"] > least]
+        """Return knees below the fast speeds for each power; an empty list for a joint at rest."""
+        fast = float(scene.fast[scene.index(joints[0])])
+        return [{"knee": share * fast, "power": p} for p, shares in _KNEES.items() for share in shares if fast > 0]

@@ -169,7 +169,6 @@ class Scene:
         campaigns: Number of logs, which `campaign` counts from zero.
         resonances: Frequency [Hz] and damping ratio of modes that a black-box fit proposes, strongest first.
         structure: Whether these modes belong to the structure as a whole, not to a single joint.
-        hard: An acceleration that the joint exceeds in 2 % of the samples (na,); None if unknown.
         scales: Reference forces of each joint, of which plausible amplitudes are shares.
         coupled: Pairs of joints that a shared motor may drive: neighbours in the chain, or declared by the robot file.
         timing: Joint -> delay and time constant [s] of its logged force that fit the baseline best; empty if all are short.
@@ -193,7 +192,6 @@ class Scene:
     resonances: tuple[tuple[float, float], ...] = ()
     structure: bool = False
     often: np.ndarray | None = None
-    hard: np.ndarray | None = None
     scales: JointScales = field(default_factory=dict)
     coupled: tuple[tuple[str, str], ...] = ()
     timing: Mapping[str, tuple[float, float]] = field(default_factory=dict)

@@ -111,7 +111,6 @@ def build_scene(
     seen = q if trained is None else q[np.concatenate(trained)]
     often = np.quantile(seen, (_RARE, 1 - _RARE), axis=0)
     ends = q.min(axis=0), q.max(axis=0)
-    hard = compute_fast_speeds(np.concatenate([motion.a for motion in motions]))
     return Scene(
         joints,
         units,
@@ -124,7 +123,6 @@ def build_scene(
         campaigns,
         often=often,
         coupled=coupled,
-        hard=hard,
     )
 
 
