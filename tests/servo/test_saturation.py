@@ -109,7 +109,7 @@ def test_a_law_that_takes_off_a_share_of_the_speed_is_found() -> None:
 
 
 def test_a_log_of_a_motor_that_is_switched_off_needs_no_law() -> None:
-    """An arm that falls with its motor off moves under a constant command; the column `torque_enable` tells the reason."""
+    """An arm that falls with its motor off moves under a constant command; the column `torque_enable` is zero then."""
     robot = build_arm(1)
     law = build_law(robot, gain=1.2, back_emf=0.02, load_friction=0.0, stiction=0.0)
     t = np.arange(0, 3, 0.02)

@@ -93,7 +93,7 @@ def screen_equation_error(
         space: Inertial numbers.
         records: The records.
         estimate_gain: Whether the position gain is unknown.
-        widest: Position errors from which the torque no longer grows (na,) [rad]; None if it always does.
+        widest: Position errors beyond which the torque is constant (na,) [rad]; None if there is no limit.
     """
     most = np.full(len(law.joints), np.inf) if widest is None else widest
     na = len(law.joints)
@@ -321,7 +321,7 @@ def prepare_loop(
     Args:
         given: The logs, with their law.
         records: The records to fit.
-        widest: Position errors from which the screen's torque no longer grows (na,) [rad]; None if it always does.
+        widest: Position errors beyond which the screen's torque is constant (na,) [rad]; None if there is no limit.
         estimate_gain: Whether the screen estimates the position gain where the law's is a start value.
     """
     model, law, space = given.model, given.law, InertialSpace.of(given.model)
