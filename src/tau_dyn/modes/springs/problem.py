@@ -19,7 +19,7 @@ negligible for all others.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -224,14 +224,11 @@ class SpringProblem:
                     used.append(_estimate_noise(spectrum, residual, nuisance, n_known))
                 else:
                     used.append(noise[len(used)])
-                missed, ends = (_stack(_weigh(x, used[-1], spectrum.s)) for x in (residual[:, :, None], nuisance))
-                solve = _factor_nuisance(ends, n_known)
-                if n_known:
-                    found = found.with_force_errors(spectrum, solve(ends.T @ missed[:, 0])[-n_known:])
                 by_stiffness = found.differentiate(at.parameters)
                 columns = by_stiffness @ slopes[0] + (spectrum.s[:, None, None] * by_stiffness) @ slopes[1]
-                rows = np.hstack([missed, _stack(_weigh(columns, used[-1], spectrum.s))])
-                gram = _compute_gram(rows, ends, solve)
+                both = np.concatenate([residual[:, :, None], columns], axis=2)
+                rows, ends = (_stack(_weigh(x, used[-1], spectrum.s)) for x in (both, nuisance))
+                gram = _compute_gram(rows, ends, n_known)
                 cost += float(gram[0, 0])
                 information += gram[1:, 1:]
                 gradient = gradient - gram[1:, 0]
@@ -354,31 +351,28 @@ def _project(residual: np.ndarray, nuisance: np.ndarray, n_known: int, sigma: np
     """Return residuals (F, p) without the part that nuisance columns (F, p, m) and offsets explain at a deviation (F, p)."""
     rows, columns = (_weigh(x, sigma, s) for x in (residual[:, :, None], nuisance))
     flat = _stack(columns)
-    c = _factor_nuisance(flat, n_known)(flat.T @ _stack(rows)[:, 0])
+    c = _solve_nuisance(flat, n_known, flat.T @ _stack(rows)[:, 0])
     return sigma * (rows[:, :, 0] - columns @ c)
 
 
-def _compute_gram(rows: np.ndarray, nuisance: np.ndarray, solve: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+def _compute_gram(rows: np.ndarray, nuisance: np.ndarray, n_known: int) -> np.ndarray:
     """Return the products (c, c) of rows (N, c) of which nuisance columns (N, m) explain nothing any more."""
     mixed = nuisance.T @ rows
-    return rows.T @ rows - mixed.T @ solve(mixed)
+    return rows.T @ rows - mixed.T @ _solve_nuisance(nuisance, n_known, mixed)
 
 
-def _factor_nuisance(nuisance: np.ndarray, n_known: int) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the map from products with columns (N, m) to least-squares coefficients (m, ..).
+def _solve_nuisance(nuisance: np.ndarray, n_known: int, right: np.ndarray) -> np.ndarray:
+    """Return least-squares coefficients (m, ..) of columns (N, m), the last `n_known` of which have a unit prior.
 
-    The last `n_known` have a unit prior. Columns are scaled to one; a ridge of `RIDGE` holds those that others repeat.
+    Columns are scaled to one; a ridge of `RIDGE` holds those that others repeat.
     """
     m = nuisance.shape[1]
     if m == 0:
-        return lambda right: right
+        return right
     gram = nuisance.T @ nuisance
     gram[range(m - n_known, m), range(m - n_known, m)] += 1.0
     scale = 1 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    factor = cho_factor(gram * np.outer(scale, scale) + RIDGE * np.eye(m))
-
-    def solve(right: np.ndarray) -> np.ndarray:
-        by = scale if right.ndim == 1 else scale[:, None]
-        return cho_solve(factor, right * by) * by
-
-    return solve
+    gram = gram * np.outer(scale, scale) + RIDGE * np.eye(m)
+    scaled = right * (scale if right.ndim == 1 else scale[:, None])
+    found = cho_solve(cho_factor(gram), scaled)
+    return found * (scale if right.ndim == 1 else scale[:, None])

@@ -73,11 +73,10 @@ class PoseModel:
         for spectrum, rows in zip(spectra, np.split(at, np.cumsum([len(x.s) for x in spectra])[:-1]), strict=True):
             acting = np.flatnonzero(np.any(spectrum.u, axis=0))
             u = spectrum.u[:, acting]
-            by_force = forced[rows][:, :, acting]
-            x = np.einsum("fnm,fm->fn", by_force, u)
+            x = np.einsum("fnm,fm->fn", forced[rows][:, :, acting], u)
             value = np.einsum("fpm,fm->fp", gain[rows][:, :, acting], u)
             by_error = gain[rows][:, :, spectrum.error_inputs]
-            out.append(Responses(value, by_error, lift[rows], x, by_output[rows], by_force, acting))
+            out.append(Responses(value, by_error, lift[rows], x, by_output[rows]))
         return out
 
     def _solve(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -123,8 +122,6 @@ class Responses:
         lift: `s^n` of each output (F, p).
         x: Coordinates (F, n).
         by_output: `H C'` (F, n, p).
-        by_force: Coordinates per force of the inputs that act (F, n, a).
-        acting: Indices of these inputs (a,).
     """
 
     value: np.ndarray
@@ -132,18 +129,6 @@ class Responses:
     lift: np.ndarray
     x: np.ndarray
     by_output: np.ndarray
-    by_force: np.ndarray
-    acting: np.ndarray
-
-    def with_force_errors(self, spectrum: Spectrum, c: np.ndarray) -> Responses:
-        """Return the outputs whose derivatives hold at the true forces: the measured ones and `c` (e,) of their errors.
-
-        At the measured forces, noise of the forces correlates with the residual that it makes, and estimates are biased
-        (errors in variables; Van Huffel & Lemmerling 2002).
-        """
-        of = spectrum.error_inputs[None] == self.acting[:, None]
-        forces = spectrum.errors @ (of * c).T
-        return replace(self, x=self.x + np.einsum("fna,fa->fn", self.by_force, forces))
 
     def differentiate(self, coordinates: np.ndarray) -> np.ndarray:
         """Return the outputs' derivatives by the stiffness at some coordinates (F, p, c)."""
