@@ -85,6 +85,7 @@ def screen_equation_error(
     records: Sequence[LoopRecord],
     estimate_gain: bool,
     widest: np.ndarray | None = None,
+    beyond: bool = True,
 ) -> EquationError:
     """Return the best delay, friction and drive inertia of each joint by the law's torque, with the bodies of the file.
 
@@ -94,6 +95,7 @@ def screen_equation_error(
         records: The records.
         estimate_gain: Whether the position gain is unknown.
         widest: Position errors beyond which the torque is constant (na,) [rad]; None if there is no limit.
+        beyond: Whether samples with larger errors count.
     """
     most = np.full(len(law.joints), np.inf) if widest is None else widest
     na = len(law.joints)
@@ -106,7 +108,7 @@ def screen_equation_error(
         best = None
         for delay in [float(law.values["command_delay"][j])] if law.values["command_delay"][j] > 0 else DELAYS_S:
             rows = [
-                _build_rows(law, r, tau[:, j], j, float(delay), estimate_gain, float(most[j]))
+                _build_rows(law, r, tau[:, j], j, float(delay), estimate_gain, float(most[j]), beyond)
                 for r, tau in zip(records, moved, strict=True)
             ]
             y, X = np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])
@@ -153,14 +155,21 @@ def _fill_gains(values: dict[str, np.ndarray], law: ServoLaw) -> dict[str, np.nd
 
 
 def _build_rows(
-    law: ServoLaw, r: LoopRecord, moved: np.ndarray, j: int, delay: float, estimate_gain: bool, widest: float
+    law: ServoLaw,
+    r: LoopRecord,
+    moved: np.ndarray,
+    j: int,
+    delay: float,
+    estimate_gain: bool,
+    widest: float,
+    beyond: bool,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return torque, columns (sign, speed, one, acceleration) and mask of one joint where it moves and its motor is on."""
     rate, (q, v, a) = 1 / r.dt, r.motion
     goal = delay_command(r.command[:, j : j + 1], r.dt, delay)[:, 0]
     goal = lowpass(goal, MOTION_HZ, rate) if rate > 2.5 * MOTION_HZ else goal
     error = goal - q[:, j]
-    where = r.used & (np.abs(v[:, j]) > MOVING) & (r.enabled > 0)
+    where = r.used & (np.abs(v[:, j]) > MOVING) & (r.enabled > 0) & (beyond | (np.abs(error) <= widest))
     edge = round(0.3 * rate)
     where[:edge], where[-edge:] = False, False
     columns = [np.sign(v[:, j]), v[:, j], np.ones(len(v)), a[:, j]]
@@ -314,7 +323,12 @@ def read_loop_logs(robot: Robot, logs: Log | Recording | Iterable[Log | Recordin
 
 
 def prepare_loop(
-    given: LoopLogs, records: Sequence[LoopRecord], widest: np.ndarray | None = None, *, estimate_gain: bool = True
+    given: LoopLogs,
+    records: Sequence[LoopRecord],
+    widest: np.ndarray | None = None,
+    *,
+    estimate_gain: bool = True,
+    beyond: bool = True,
 ) -> LoopData:
     """Return the start of a fit of some records: the screen's values, and the inertial directions that they inform on.
 
@@ -323,11 +337,12 @@ def prepare_loop(
         records: The records to fit.
         widest: Position errors beyond which the screen's torque is constant (na,) [rad]; None if there is no limit.
         estimate_gain: Whether the screen estimates the position gain where the law's is a start value.
+        beyond: Whether the screen takes samples with larger position errors than `widest`.
     """
     model, law, space = given.model, given.law, InertialSpace.of(given.model)
     given.progress("equation error")
     estimate_gain = estimate_gain and "position_gain" in law.estimated and not np.any(law.values["speed_gain"])
-    screen = screen_equation_error(law, space, records, estimate_gain, widest)
+    screen = screen_equation_error(law, space, records, estimate_gain, widest, beyond)
     space = choose_directions(space, records, screen)
     loads = [compute_load_waves(space, *r.motion, r.dt) for r in records]
     unknowns = _build_unknowns(model, law, space, screen.values, given.own, given.friction)

@@ -59,7 +59,12 @@ def start_saturated(
     given.progress("torque limits from several starts" if is_guessed else "position gains from several starts")
     widest = [share * _list_largest_errors(records) for share in _SHARES]
     if is_guessed:
-        limited, start = _with_limits(given, data, plain, [_start_limited(given, records, errors) for errors in widest])
+        limited, start = _with_limits(
+            given,
+            data,
+            plain,
+            [_start_limited(given, records, errors, beyond) for errors in widest for beyond in (True, False)],
+        )
         return (limited, start) if start is data else (limited, _with_derivative_gains(given, start, kinds))
     starts = [prepare_loop(given, records, errors) for errors in widest]
     starts.append(prepare_loop(given, records, estimate_gain=False))
@@ -78,10 +83,10 @@ def _search(start: LoopData) -> LoopFit:
     return fit_loop(start.shorten().build_problem(), max_iterations=_ITERATIONS)
 
 
-def _start_limited(given: LoopLogs, records: Sequence[LoopRecord], widest: np.ndarray) -> LoopData:
+def _start_limited(given: LoopLogs, records: Sequence[LoopRecord], widest: np.ndarray, beyond: bool) -> LoopData:
     """Return a start with a limit where position errors of `widest` (na,) [rad] reach it."""
     law = replace(given.law, estimated=given.law.estimated | {"limit"})
-    start = prepare_loop(replace(given, law=law), records, widest)
+    start = prepare_loop(replace(given, law=law), records, widest, beyond=beyond)
     gain = start.unknowns.values["position_gain"] * law.values["force_per_unit"]
     return replace(start, unknowns=replace(start.unknowns, values={**start.unknowns.values, "limit": gain * widest}))
 
