@@ -374,8 +374,8 @@ def compute_statistics_of_rows(
     return compute_score_statistics(s, G, np.diagonal(square, axis1=1, axis2=2), nonnegative, absorbed)
 
 
-_ROUNDING = 1e-12
-"""Square of a column, as a share of the largest one's in other samples, that is rounding of a difference of sums."""
+_ROUNDING = 1e-24
+"""Square of a column, as a share of the largest one's, below which it is zero: columns of other settings may be 1e-6 as large."""
 
 
 def compute_score_statistics(
