@@ -42,10 +42,10 @@ def test_lags_are_tried_up_to_a_third_of_the_recording():
 
 
 def test_hysteresis_is_tried_over_shares_of_the_way():
-    """Twice the way, twice the distances, from a thousandth to a tenth of it."""
+    """Twice the way, twice the distances, from a ten-thousandth to a tenth of it."""
     one, two = ([g["distance"] for g in EFFECTS["hysteresis"].grid(scene(60.0, way), ("x",))] for way in (0.5, 1.0))
     assert_allclose(two, 2 * np.array(one))
-    assert_allclose([one[0], one[-1]], [0.5e-3, 0.05])
+    assert_allclose([one[0], one[-1]], [0.5e-4, 0.05])
 
 
 def test_position_friction_says_where_it_is_high_and_low():

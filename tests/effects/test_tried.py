@@ -36,12 +36,12 @@ def tried(name: str, joint: str, about: Scene) -> list[dict[str, float]]:
 
 
 def test_each_joints_own_way_counts() -> None:
-    """Plays of 1e-5, 1e-4 and 1e-3 of it, bristles of a thousandth to a tenth, waves of twice to a quarter."""
+    """Plays of 1e-5, 1e-4 and 1e-3 of it, bristles of a ten-thousandth to a tenth, waves of twice to a quarter."""
     about = scene()
     for joint, way, middle in (("x", 0.5, 1.25), ("y", 2.0, 1.0), ("w", 2.0, 0.0)):
         assert_allclose([s["travel"] for s in tried("backlash", joint, about)], [1e-5 * way, 1e-4 * way, 1e-3 * way])
         bristles = [s["distance"] for s in tried("lugre", joint, about)]
-        assert_allclose(bristles, np.geomspace(1e-3 * way, 0.1 * way, 8))
+        assert_allclose(bristles, np.geomspace(1e-4 * way, 0.1 * way, 11))
         waves = [s["period"] for s in tried("cart_tilt", joint, about)]
         assert_allclose(waves, [2 * way, way / 0.75, way, way / 1.5, way / 2, way / 3, way / 4])
         for s in tried("position_friction", joint, about):

@@ -38,6 +38,29 @@ def test_friction_with_a_knee_keeps_it(make, rng) -> None:
     assert effect.settings["power"] != PARABOLA and effect.settings["knee"] < 0.5 * null_model.channel.scene.fast[0]
 
 
+@pytest.mark.parametrize("share", [0.06, 0.2])
+def test_friction_that_levels_off_keeps_its_knee(make, rng, share) -> None:
+    """A force of 25 N that levels off at a share of the fast speed: the knee, for which a root of the speed also fits well."""
+    fast = float(make.bench(rng, motions=(make.moving(rng, ("x",), 6000, size=2.0),)).scene.fast[0])
+    effect, null_model = refine(make, rng, lambda v: 25 * v / np.hypot(v, share * fast))
+    assert effect.settings["power"] == 0 and find_edge([effect], null_model.channel.scene) == ""
+    assert effect.settings["knee"] == pytest.approx(share * fast, rel=0.4)
+
+
+def test_a_root_of_the_speed_with_a_high_knee_becomes_friction_that_levels_off(make, rng) -> None:
+    """At its highest knee a power of 0.5 is followed by power 0, whose highest knee the parabola follows; low knees by none."""
+    scene = make.bench(rng).scene
+    fast = float(scene.fast[0])
+
+    def follow(power: float, share: float) -> dict[str, float] | None:
+        law = ViscousCurvature(["x"], ["N"], power=power, knee=share * fast).find_limit_law(scene)
+        return law and dict(law.settings)
+
+    assert follow(0.5, 0.1) == {"power": 0.0, "knee": 0.1 * fast}
+    assert follow(0.0, 0.6) == {"power": PARABOLA, "knee": fast}
+    assert follow(0.5, 0.03) is None and follow(0.0, 0.04) is None and follow(1.5, 0.1) is None
+
+
 def test_a_parabola_grows_to_its_knee_and_stays(rng) -> None:
     """Force 10 N at 1 m/s: 7.5 N at half the speed, 10 N beyond, against the motion on both sides."""
     effect = ViscousCurvature(["x"], ["N"], power=PARABOLA, knee=1.0)

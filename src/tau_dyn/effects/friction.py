@@ -250,9 +250,18 @@ class ViscousCurvature(JointwiseEffect):
         return f"viscous friction of {size} that grows {how} than the speed does above {knee}"
 
     def find_limit_law(self, scene: Scene) -> ViscousCurvature | None:
-        """Return the parabola that levels off at the fast speeds: `-v |v|` and viscous friction, growing over all speeds."""
-        fast = float(scene.fast[scene.index(self.joints[0])])
-        return self.with_settings(power=PARABOLA, knee=fast) if self.settings["power"] < 1 and fast > 0 else None
+        """Return the law that continues this one beyond its highest knee; None at the lowest.
+
+        A power of 0.5 with a high knee has the curve of power 0. Power 0 ends in the parabola that levels off at the fast
+        speeds: `-v |v|` and viscous friction, growing over all speeds.
+        """
+        fast, power = float(scene.fast[scene.index(self.joints[0])]), self.settings["power"]
+        knees = _KNEES.get(power, ())
+        if power >= 1 or not fast > 0 or self.settings["knee"] < np.sqrt(knees[0] * knees[-1]) * fast:
+            return None
+        if power == 0:
+            return self.with_settings(power=PARABOLA, knee=fast)
+        return self.with_settings(power=0.0)
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:

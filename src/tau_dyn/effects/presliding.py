@@ -33,8 +33,8 @@ from tau_dyn.effects.motion import JointMotion, Motion, Scene
 from tau_dyn.exceptions import InputError
 from tau_dyn.parameters import Parameter
 
-_DISTANCES = (1e-3, 0.1)
-_N_TRIALS = 8  # distances tried, in steps of a factor of about two; refinement does the rest
+_DISTANCES = (1e-4, 0.1)
+_N_TRIALS = 11  # distances tried, in steps of a factor of about two; refinement does the rest
 _PIECE = 30.0  # largest exponent of a stretch that is integrated at once; exp(30) leaves half of the digits
 STATE = "presliding"
 """Signal (N, na) that replaces z if the caller tracks it from sample to sample, as the simulator does."""
@@ -60,7 +60,7 @@ class Bristle(JointwiseEffect):
 
     @classmethod
     def grid(cls, scene: Scene, joints: tuple[str, ...]) -> list[dict[str, float]]:
-        """Return distances from a thousandth to a tenth of the distance travelled."""
+        """Return distances from a ten-thousandth to a tenth of the distance travelled."""
         k = scene.index(joints[0])
         way = float(scene.high[k] - scene.low[k])
         return [{"distance": float(x) * way} for x in np.geomspace(*_DISTANCES, _N_TRIALS)] if way > 0 else []

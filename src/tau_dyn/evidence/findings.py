@@ -291,7 +291,7 @@ def _describe_forces(
         )
     else:
         text = f"{missed}. No cause is confirmed, and the residual is not consistent with the noise."
-        text += "".join(f" {_describe_rejection(f)}" for f in findings if f.is_shown)
+        text += "".join(f" {_describe_rejection(f)}" for f in findings if f.contradicts_noise)
     if any(u.status == "confirmed" for u in unexplained):
         u = next(u for u in unexplained if u.status == "confirmed")
         what = ", ".join(u.depends_on)

@@ -4,12 +4,14 @@
 
 A selected cause that the validation data show, but whose amplitude or setting is implausible for any machine, is listed as
 rejected, and the selection is repeated without it: another cause may explain the same residual. That other cause has to leave a
-residual that is consistent with the noise, since the better fit was rejected. A cause that is confirmed with the rejected one
+residual that is consistent with the noise, since the better fit was rejected. The same holds for a cause that the validation data
+reject, if another one explains as much of the training data. A cause that is confirmed with the rejected one
 in the model and without it, with about the same amplitude, explains another part of the residual, and needs no such residual;
 its standard errors contain the difference of the amplitudes.
 
 `nothing_found` is a test result. The residual of every output is consistent with its noise (`unexplained.py`), and no rejected
-candidate is shown by the validation data; otherwise the verdict is `unexplained`.
+candidate is shown by the validation data or by the training data at the level of a single data set; otherwise the verdict is
+`unexplained`.
 """
 
 from __future__ import annotations
@@ -121,12 +123,12 @@ def examine_channel(channel: Channel, options: ExaminationOptions, first: Select
         found = _examine_once(channel, options, excluded, None if search else first)
         if search:
             found = _require_consistency(found, options, earlier)
-        implausible = _list_implausible(found)
-        if not implausible or options.doubt or search + 1 == MAX_SEARCHES:
+        replaceable = _list_replaceable(found)
+        if not replaceable or options.doubt or search + 1 == MAX_SEARCHES:
             break
         findings = build_findings(found.selection, found.claims, found.waterfall, options.rng)
-        rejected += [findings[k] for k in implausible]
-        turned_down = [found.claims.found[k] for k in implausible]
+        rejected += [findings[k] for k in replaceable]
+        turned_down = [found.claims.found[k] for k in replaceable]
         excluded |= {_identify(effect) for effect in build_effects(turned_down)}
         earlier.append(_measure_with_rejected(found, turned_down, options))
     return _with_findings(found, options, rejected, measure_changes(found, earlier))
@@ -194,10 +196,18 @@ def _doubt(claims: Claims, periods: Sequence[tuple[float, ...]], doubt: str) -> 
     return claims
 
 
-def _list_implausible(found: Examination) -> list[int]:
-    """Return the indices of implausible causes that the validation data show."""
-    claims = zip(found.claims.why_not, found.tests.causes, strict=True)
-    return [k for k, (why, test) in enumerate(claims) if isinstance(why, Implausible) and test.is_confirmed]
+def _list_replaceable(found: Examination) -> list[int]:
+    """Return the indices of causes in whose place another one may be found.
+
+    These are implausible causes that the validation data show, and causes that these data reject, if another cause explains as
+    much of the training data.
+    """
+    claims = zip(found.claims.found, found.claims.why_not, found.tests.causes, strict=True)
+    return [
+        k
+        for k, (one, why, test) in enumerate(claims)
+        if (isinstance(why, Implausible) if test.is_confirmed else not test.is_inconclusive and one.rivals)
+    ]
 
 
 class AmplitudesWithRejected(NamedTuple):
@@ -388,8 +398,7 @@ def decide_verdict(
         return "cannot_tell"
     if parameters:
         return "named"
-    shown = any(f.status == "suspected" and f.is_shown for f in findings)
-    shown = shown or any(u.status == "confirmed" for u in unexplained)
+    shown = any(f.contradicts_noise for f in findings) or any(u.status == "confirmed" for u in unexplained)
     return "unexplained" if shown or list_contradicting(warnings) else "nothing_found"
 
 

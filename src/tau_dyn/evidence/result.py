@@ -17,6 +17,10 @@ DIFFERENCE_LEVEL = 0.01
 """Significance level, over all comparisons together, at which recordings, units or values that should be equal are called
 different."""
 
+SINGLE_SET_LEVEL = 1e-8
+"""Significance level of the statistic of one data set alone. No other data confirm it, so the level leaves room for errors of the
+noise model, which make the p-values of a single set too small."""
+
 
 @dataclass(frozen=True, eq=False)
 class WholeErrors:
@@ -243,6 +247,11 @@ class Finding(Brief):
     def reject(self, why: str) -> Finding:
         """Return the finding as suspected, with the reason; an already suspected finding keeps its reason."""
         return replace(self, status="suspected", why_not_confirmed=self.why_not_confirmed or why)
+
+    @property
+    def contradicts_noise(self) -> bool:
+        """Whether a suspected cause is a residual above the noise: other data show it, or one set of data beyond doubt."""
+        return self.status == "suspected" and (self.is_shown or self.p_value < SINGLE_SET_LEVEL)
 
     @property
     def rank(self) -> tuple[bool, bool, float]:

@@ -46,17 +46,22 @@ def refine_settings(candidate: CandidateCause, null_model: NullModel) -> Candida
     """
     fits = []
     for fit in candidate.fits:
-        fit = match_settings(fit, null_model)
-        for _ in range(_STEPS if fit.effect.refined else 0):
-            moved = _step(fit.effect, null_model, fit.neighbours)
-            if moved is None:
-                break
-            better = rescore_group(replace(fit, effect=moved), null_model)
-            if not better.statistic > fit.statistic + 0.01:
-                break
-            fit = better
+        fit = _improve(match_settings(fit, null_model), null_model)
         fits.append(replace_at_edge(_grown(fit, null_model), null_model))
     return replace(candidate, fits=tuple(fits))
+
+
+def _improve(fit: GroupTest, null_model: NullModel) -> GroupTest:
+    """Return a fit after the Gauss-Newton steps that increase its statistic."""
+    for _ in range(_STEPS if fit.effect.refined else 0):
+        moved = _step(fit.effect, null_model, fit.neighbours)
+        if moved is None:
+            break
+        better = rescore_group(replace(fit, effect=moved), null_model)
+        if not better.statistic > fit.statistic + 0.01:
+            break
+        fit = better
+    return fit
 
 
 def _step(effect: Effect, null_model: NullModel, limits: Sequence[dict[str, float]]) -> Effect | None:
@@ -114,13 +119,16 @@ def find_edge(effects: Sequence[Effect], scene: Scene) -> str:
 
 
 def replace_at_edge(fit: GroupTest, null_model: NullModel) -> GroupTest:
-    """Return a fit with the limit law of its family, if its setting is at an open end and that law explains as much."""
+    """Return a fit with the limit law of its family, if its setting is at an open end and that law explains as much.
+
+    A limit law may have settings of its own, which are refined, and be at an edge again.
+    """
     scene = null_model.channel.scene
     limit = fit.effect.find_limit_law(scene) if find_edge([fit.effect], scene) else None
     if limit is None:
         return fit
-    found = rescore_group(replace(fit, effect=limit, neighbours=()), null_model)
-    return found if found.statistic > MIN_LIMIT_SHARE * fit.statistic else fit
+    found = _improve(rescore_group(replace(fit, effect=limit, neighbours=()), null_model), null_model)
+    return replace_at_edge(found, null_model) if found.statistic > MIN_LIMIT_SHARE * fit.statistic else fit
 
 
 def find_unbelievable(candidate: CandidateCause, null_model: NullModel) -> str:

@@ -34,7 +34,7 @@ from tau_dyn.evidence.null_model import (
     compute_score_test,
     fit_noise_models,
 )
-from tau_dyn.evidence.result import Unexplained
+from tau_dyn.evidence.result import SINGLE_SET_LEVEL, Unexplained
 from tau_dyn.evidence.unknown_structure import (
     MIN_2LOGL_DIFFERENCE,
     MIN_LEFT_SHARE,
@@ -157,10 +157,6 @@ def _gains(null_model: WhiteResidual, others: Columns, structure: Structure) -> 
 
 CONSISTENCY_LEVEL = 0.01
 """Significance level of each of the two tests of an output, over all outputs (Bonferroni); together at most 1e-4."""
-
-SINGLE_SET_LEVEL = 1e-8
-"""Significance level of the statistic of one data set alone. No other data confirm it, so the level leaves room for errors of the
-noise model, which make the p-values of a single set too small."""
 
 
 @dataclass(frozen=True)
