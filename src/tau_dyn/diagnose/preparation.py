@@ -54,8 +54,6 @@ from tau_dyn.robot import Robot
 
 BAND_FACTOR = 20.0
 """Highest frequency used, in edges of the motion's own band; a tooth passes many times in one stroke."""
-NOISE_EDGE_FACTOR = 2.0
-"""Highest frequency used, in noise edges of the positions: columns are made of smoothed positions, whose noise ends earlier."""
 SLOW_SHARE = 0.01  # speed at which a joint's direction has to be known, as a share of its fast speed
 MIN_DIRECTION_SNR = 5.0
 """Least speed of certain direction, in standard deviations of the velocity's noise."""
@@ -95,7 +93,7 @@ def choose_diagnosis_preparation(robot: Robot, logs: Sequence[Log], exclude: tup
     bands = [find_motion_band(x, log.rate_hz) for x, log in zip(q, logs, strict=True)]
     edge = max(float(band.edge_hz.max()) for band in bands)
     noise_edge = min((float(e) for b in bands for e in b.noise_edge_hz[b.edge_hz > 0]), default=rate)
-    force_cutoff = max(plain.force_cutoff_hz, min(0.16 * rate, BAND_FACTOR * edge, NOISE_EDGE_FACTOR * noise_edge))
+    force_cutoff = max(plain.force_cutoff_hz, min(0.16 * rate, BAND_FACTOR * edge, noise_edge))
     threshold = MIN_DIRECTION_SNR * noise * compute_noise_gain(rate, position_cutoff)
     return Preparation(
         position_cutoff,
