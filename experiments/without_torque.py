@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from scipy.interpolate import interp1d
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent / "identification"), str(HERE.parent)]
@@ -182,18 +183,16 @@ def measure_noncentrality(arm: Robot, law: ServoLaw, logs: list[Log], clean: lis
     data = prepare_loop(given, given.kept)
     data = replace(data, unknowns=keep_kinds(data, (*BASELINE, *law.estimated)), whole=True, step=SPRING_STEP_S)
     data, fit = fit_coupled(data)
-    moved = np.concatenate([m.q for m in predict(data, fit, given.kept)])
-    measured, true = (
-        np.concatenate([_read_at(log, arm, r.t) for log, r in zip(some, given.kept, strict=True)])
-        for some in (logs, clean)
+    motions = predict(data, fit, given.kept)
+    moved = np.concatenate(
+        [
+            interp1d(r.t, m.q, axis=0)(np.minimum(log.t, r.t[-1]))
+            for log, r, m in zip(logs, given.kept, motions, strict=True)
+        ]
     )
+    measured, true = (np.concatenate([log.joint("q", arm.actuated) for log in some]) for some in (logs, clean))
     noise = np.var(measured - true, axis=0)
     return float(np.sum((moved - true) ** 2 / noise))
-
-
-def _read_at(log: Log, arm: Robot, t: np.ndarray) -> np.ndarray:
-    """Return the positions of a log at times of a record (N, na)."""
-    return np.column_stack([np.interp(t, log.t, log.channels[f"q_{joint}"]) for joint in arm.actuated])
 
 
 def summarise_causes(table: pd.DataFrame) -> str:

@@ -108,7 +108,7 @@ def test_a_step_is_told_from_a_stream_whatever_the_rate(rate):
     rest = np.full(20, ramp[-1])
     told = np.concatenate([np.zeros(20), ramp[1:], rest, rest + 0.3, ramp + 0.7, np.full(5, 0.7)])
     command = np.repeat(told, held)[:, None, None]
-    found = np.flatnonzero(find_command_steps(command, np.array([1 / rate]))[:, 0, 0]) / held
+    found = np.flatnonzero(find_command_steps(command, np.arange(len(command))[:, None, None] / rate)[:, 0, 0]) / held
     assert_allclose(found, [20, 59, 79, 99])
 
 

@@ -167,7 +167,7 @@ def test_springs_are_looked_for_at_resonances_an_octave_apart():
     values = {"armature": np.array([armature]), "viscous": np.array([viscous])}
     unknowns: Any = SimpleNamespace(n=0, with_values=lambda x: values)
     data: Any = SimpleNamespace(
-        law=SimpleNamespace(joints=("a",)), space=SimpleNamespace(n_unknowns=0), records=[SimpleNamespace(dt=0.02)],
+        law=SimpleNamespace(joints=("a",)), space=SimpleNamespace(n_unknowns=0), records=[SimpleNamespace(interval=0.02)],
         loads=[SimpleNamespace(inertia=np.full((5, 1, 1), inertia))],
     )  # fmt: skip
     starts = list_starts(data, unknowns, SimpleNamespace(x=np.zeros(0)), "joint_compliance")  # type: ignore[arg-type]

@@ -153,7 +153,7 @@ def list_starts(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str) -> li
         theta = np.append(1.0, fit.x[u.n - data.space.n_unknowns :])
         inertia = np.mean([(w.inertia @ theta).mean(axis=0) for w in data.loads], axis=0)
         inertia = np.maximum(inertia, 1e-3 * np.maximum(values["armature"], 1e-6))
-        highest = 0.5 / max(r.dt for r in data.records)
+        highest = 0.5 / max(r.interval for r in data.records)
         turns = [2 * np.pi * f for f in RESONANCES_HZ if f < highest]
         springs = [
             {"joint_compliance": 1 / (inertia * w**2), "joint_damping": 2 * _DAMPING_RATIO * inertia * w} for w in turns

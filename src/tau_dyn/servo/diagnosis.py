@@ -192,7 +192,7 @@ def _list_aliased(findings: Sequence[Finding]) -> Sequence[Finding]:
 def _measure_parts(parts: _Parts) -> tuple[float, float, float]:
     """Return the length of training, validation and test data [s]."""
     train, confirm, gain = (
-        sum(float(record.used.sum()) * record.dt for record in records)
+        sum(float(record.used.sum()) * record.interval for record in records)
         for records in (parts.train, parts.confirm, parts.gain)
     )
     return train, confirm, gain

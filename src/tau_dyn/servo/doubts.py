@@ -92,7 +92,7 @@ def _describe_scaled_bodies(law: ServoLaw, data: LoopData, fit: LoopFit) -> list
     theta = space.at(fit.x[u.n - space.n_unknowns :])
     loads = []
     for r in data.records:
-        some = np.flatnonzero(r.used & (r.enabled > 0))[:: max(1, int(LOAD_SAMPLES_S / r.dt))]
+        some = np.flatnonzero(r.used & (r.enabled > 0))[:: max(1, int(LOAD_SAMPLES_S / r.interval))]
         if len(some):
             loads.append(
                 space.model.mechanism.regressor(*(x[some] for x in r.motion)) @ np.stack([space.nominal, theta], axis=1)

@@ -228,13 +228,13 @@ def _number_blocks(records: Sequence[LoopRecord], n: int) -> np.ndarray:
 
 
 def count_worth(residual: np.ndarray, used: np.ndarray) -> float:
-    """Return the number of samples of one joint's residuals (N, S) per independent one."""
-    reach = min(400, len(residual) // 4)
+    """Return the number of used samples of one joint's residuals (N, S) per independent one."""
+    kept = [column[mask] for column, mask in zip(residual.T, used.T, strict=True)]
+    reach = min(400, max(len(x) for x in kept) // 4)
     total = np.zeros(reach)
-    for column, mask in zip(residual.T, used.T, strict=True):
-        x = column * mask
-        total += [float(x[: len(x) - lag] @ x[lag:]) for lag in range(reach)]
-    if total[0] <= 0:
+    for x in kept:
+        total += [float(x[: max(len(x) - lag, 0)] @ x[lag:]) for lag in range(reach)]
+    if reach == 0 or total[0] <= 0:
         return 1.0
     rho = total / total[0]
     ends = np.flatnonzero(rho < 0.05)

@@ -200,12 +200,12 @@ def choose_directions(space: InertialSpace, records: Sequence[LoopRecord], scree
     p = len(space.nominal)
     information = np.zeros((p, p))
     for r in records:
-        every = max(1, int(INFORMATION_S / r.dt + 1e-9))
+        every = max(1, int(INFORMATION_S / r.interval + 1e-9))
         some = np.flatnonzero(r.used & (r.enabled > 0))[::every]
         if len(some) < 10:
             continue
         Y = space.model.mechanism.regressor(*(x[some] for x in r.motion)) * space.prior
-        worth = max(1.0, 0.5 / r.dt) / every  # samples per independent residual, at half a second
+        worth = max(1.0, 0.5 / r.interval) / every  # samples per independent residual, at half a second
         for j in range(r.q.shape[1]):
             X = np.ascontiguousarray(Y[:, j])
             information += X.T @ X / (screen.sigma[j] ** 2 * worth)
@@ -480,7 +480,7 @@ def _require_in_memory(logs: Sequence[Log | Recording]) -> list[Log]:
 
 def _refuse_stillness(records: Sequence[LoopRecord]) -> None:
     """Reject logs that are too short or in which no joint moves."""
-    seconds = sum(float(r.used.sum()) * r.dt for r in records)
+    seconds = sum(float(r.used.sum()) * r.interval for r in records)
     if seconds < MIN_SECONDS:
         raise CannotAnswer(
             "too_little_data",

@@ -1,6 +1,7 @@
 """Logs of commands and positions -> even records, and the loads of a robot along their motions -> waves for the loop.
 
-A command holds until the next one; a position is interpolated. The inertial numbers of the robot file have an uncertainty, a
+A command holds from its stamp to the next one. Uneven stamps have a clock finer than the samples, of which the positions nearest
+to a stamp are used; between them positions are interpolated. The inertial numbers of the robot file have an uncertainty, a
 quarter of each body's size unless the file or `--fix` states another; only the directions in which logs inform more than that
 are unknowns (a likelihood-informed subspace), so that a fit cannot drift in directions without information.
 Reference: Cui, Martin, Marzouk, Solonen & Spantini 2014.
@@ -13,15 +14,15 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import interp1d
+from scipy.interpolate import Akima1DInterpolator, interp1d
 
 from tau_dyn.exceptions import InputError
-from tau_dyn.log import Log, differentiate, lowpass
+from tau_dyn.log import Log, differentiate, estimate_encoder_noise, lowpass
 from tau_dyn.mechanism import Mechanism, build_mechanism
 from tau_dyn.model import Model
 from tau_dyn.robot import BodyPrior
 from tau_dyn.servo.consistent_bodies import ConsistentBodies
-from tau_dyn.servo.waves import LoadRows, Waves
+from tau_dyn.servo.waves import LoadRows, Waves, find_command_steps
 from tau_dyn.simulate import COMMANDS, ServoLaw
 
 MOTION_HZ = 12.0
@@ -45,7 +46,7 @@ ROWS = 20_000
 
 @dataclass(frozen=True, eq=False)
 class LoopRecord:
-    """One log on an even clock.
+    """One log on an even clock, finer than its samples where its stamps are uneven.
 
     Attributes:
         name: The log's name.
@@ -59,6 +60,8 @@ class LoopRecord:
         start: Positions from which it is simulated (na,) [rad]; None for the measured ones.
         speed: Speeds at the first sample (na,) [rad/s]; None for rest.
         told: Kind of the commands, one of `simulate.COMMANDS`.
+        every: Samples of the clock per logged sample; more than one if the log's stamps are uneven.
+        steps: Mask (N, na) of commands that are steps, by their own stamps; None to find them on the clock.
     """
 
     name: str
@@ -72,6 +75,13 @@ class LoopRecord:
     start: np.ndarray | None = None
     speed: np.ndarray | None = None
     told: str = COMMANDS[0]
+    every: int = 1
+    steps: np.ndarray | None = None
+
+    @property
+    def interval(self) -> float:
+        """Time between logged samples [s]."""
+        return self.every * self.dt
 
     @property
     def goal(self) -> np.ndarray:
@@ -111,13 +121,54 @@ def build_records(model: Model, law: ServoLaw, logs: Sequence[Log], exclude: Seq
     return [_build_record(model, law, log, exclude) for log in logs]
 
 
+UNEVEN_SHARE = 0.02
+"""Rms distance of a log's stamps from an even clock, in its steps, from which the clock is finer than the log. At 30 Hz 2 % of a
+step change a position by less than an encoder's resolution; stamps rounded to milliseconds are below."""
+CLOCK_S = 5e-3
+"""Longest step of such a clock [s]: commands and positions are at most half of it off their stamps, and corrected for it."""
+
+
+START_S = 0.3
+"""Start of a log in motion that is not used [s]: the simulation starts at rest, and after four time constants of a servo's loop
+the error of that has decayed."""
+MIN_STARTS = 10
+"""Duration of a log, in such starts, from which its start is left out."""
+_REST_Z = 6.0  # range of a joint at rest, in standard deviations of its encoder
+
+
+def _is_moving(log: Log, joints: Sequence[str]) -> bool:
+    """Return whether a joint moves within the first half of `START_S`."""
+    q = log.joint("q", joints)
+    early = q[log.t - log.t[0] <= max(0.5 * START_S, 2.5 * log.dt)]
+    return bool(np.any(np.ptp(early, axis=0) > _REST_Z * estimate_encoder_noise(q)))
+
+
+def _count_ticks(log: Log) -> int:
+    """Return the samples of the clock per logged sample: one if the log's stamps are even."""
+    at = (log.t - log.t[0]) / log.dt
+    uneven = float(np.sqrt(np.mean((at - np.round(at)) ** 2))) > UNEVEN_SHARE
+    return max(1, int(np.ceil(log.dt / CLOCK_S))) if uneven else 1
+
+
 def _build_record(model: Model, law: ServoLaw, log: Log, exclude: Sequence[str]) -> LoopRecord:
-    joints = model.robot.actuated
-    t = log.t[0] + np.arange(int((log.t[-1] - log.t[0]) / log.dt) + 1) * log.dt
-    q = np.stack([np.interp(t, log.t, x) for x in log.joint("q", joints).T], axis=1)
-    held = np.clip(np.searchsorted(log.t, t + 0.5 * log.dt, side="right") - 1, 0, len(log.t) - 1)
-    near = np.clip(np.searchsorted(log.t, t - 0.5 * log.dt), 0, len(log.t) - 1)
+    """Return a log on an even clock; samples of the clock to which no stamp is nearest are not used."""
+    joints, every = model.robot.actuated, _count_ticks(log)
+    dt = log.dt / every
+    t = log.t[0] + np.arange(int((log.t[-1] - log.t[0]) / dt) + 1) * dt
+    q, command, within = log.joint("q", joints), log.joint("cmd", joints), np.minimum(t, log.t[-1])
+    between = Akima1DInterpolator(log.t, q, method="makima") if every > 1 else interp1d(log.t, q, axis=0)
+    mean = average_held_commands(log.t, command, t, dt)
+    held = np.clip(np.searchsorted(log.t, t + 0.5 * dt, side="right") - 1, 0, len(log.t) - 1)
+    near = np.clip(np.searchsorted(log.t, t - 0.5 * dt), 0, len(log.t) - 1)
     supply, enabled, used = np.ones((3, len(t)))
+    steps = None
+    if every > 1:
+        used = (np.abs(log.t[near] - t) <= 0.5 * dt).astype(float)
+        last = np.clip(np.searchsorted(log.t, t + (1 - MIN_STEP_SHARE) * dt) - 1, 0, len(log.t) - 1)
+        changed = np.diff(mean, axis=0, prepend=mean[:1]) != 0
+        steps = find_command_steps(command[:, :, None], log.t[:, None, None])[last, :, 0] & changed
+    if t[-1] - t[0] > MIN_STARTS * START_S and _is_moving(log, joints):
+        used[t - t[0] < START_S] = 0
     if law.supply:
         supply = np.interp(t, log.t, _get_column(log, law.supply, MAX_SUPPLY * law.nominal_supply)) / law.nominal_supply
     if law.enabled:
@@ -129,13 +180,15 @@ def _build_record(model: Model, law: ServoLaw, log: Log, exclude: Sequence[str])
     return LoopRecord(
         log.name,
         t,
-        q,
-        average_held_commands(log.t, log.joint("cmd", joints), t, log.dt),
+        between(within),
+        mean,
         supply,
         enabled,
         used.astype(bool),
         law.in_log(log.name),
         told=law.command,
+        every=every,
+        steps=steps,
     )
 
 
@@ -346,6 +399,9 @@ def build_waves(records: Sequence[LoopRecord], loads: Sequence[LoadWaves], law: 
         return np.ascontiguousarray(rows.transpose(order)).transpose(np.argsort(order))
 
     keys = sorted({key for entries in law.by_log.values() for key in entries})
+    steps = [r.steps for r in records if r.steps is not None]
+    if steps and len(steps) < len(records):  # even and uneven stamps together
+        steps = [_find_steps(r) if r.steps is None else r.steps for r in records]
     return Waves(
         dt=np.array([r.dt for r in records]),
         start=np.stack([r.q[0] if r.start is None else r.start for r in records], axis=1),
@@ -363,7 +419,13 @@ def build_waves(records: Sequence[LoopRecord], loads: Sequence[LoadWaves], law: 
         encoder_on_motor=law.encoder == "motor",
         measured_on_motor=law.measured == "motor",
         told=law.command,
+        given_steps=stack(steps) if steps else None,
     )
+
+
+def _find_steps(record: LoopRecord) -> np.ndarray:
+    """Return the mask (N, na) of a record's commands that are steps."""
+    return find_command_steps(record.command[:, :, None], record.t[:, None, None])[:, :, 0]
 
 
 def refine_record(record: LoopRecord, every: int) -> LoopRecord:
@@ -371,9 +433,10 @@ def refine_record(record: LoopRecord, every: int) -> LoopRecord:
     n = (len(record.t) - 1) * every + 1
     t, q = (refine(x, every) for x in (record.t, record.q))
     before = np.arange(n) // every
+    steps = None if record.steps is None else record.steps[before] & (np.arange(n) % every == 0)[:, None]
     return replace(
         record, t=t, q=q, command=record.command[before], supply=record.supply[before], enabled=record.enabled[before],
-        used=record.used[before],
+        used=record.used[before], every=record.every * every, steps=steps,
     )  # fmt: skip
 
 
@@ -407,7 +470,7 @@ def split_pieces(records: Sequence[LoopRecord], loads: Sequence[LoadWaves]) -> t
             pieces.append(
                 replace(
                     r, t=r.t[cut], q=r.q[cut], command=r.command[cut], supply=r.supply[cut], enabled=r.enabled[cut],
-                    used=used, start=start, speed=speed,
+                    used=used, start=start, speed=speed, steps=None if r.steps is None else r.steps[cut],
                 )
             )  # fmt: skip
             waves.append(w.cut(cut))

@@ -41,7 +41,7 @@ class LoopResidual(NamedTuple):
 
 def compute_noise_floor(records: Sequence[LoopRecord]) -> np.ndarray:
     """Return the rms of the encoders' noise and rounding (na,) [rad], the lower bound of any simulation's error."""
-    return np.sqrt(np.mean([estimate_encoder_noise(r.q) ** 2 for r in records], axis=0))
+    return np.sqrt(np.mean([estimate_encoder_noise(r.q[:: r.every]) ** 2 for r in records], axis=0))
 
 
 def find_residual_structure(
@@ -88,12 +88,14 @@ def _build_run(
         used = parts[number].records[k].used
         residual[used] = parts[number].values[: len(first.t), :, k][used]
         part[used] = EVERY[number]
-    every = max(1, int(1 / (RESIDUAL_HZ * first.dt)))
+    every = max(first.every, int(1 / (RESIDUAL_HZ * first.dt)))
     q, v, a = first.motion
-    means = [_average(x, every) for x in (first.t, residual, q, v, a, first.goal - first.q)]
-    t, y, *signals = means
+    t, *signals = [_average(x, every) for x in (first.t, q, v, a, first.goal - first.q)]
     groups = part[: len(t) * every].reshape(len(t), every)
-    whole = np.where((groups == groups[:, :1]).all(axis=1), groups[:, 0], -1)
+    share = (groups >= 0).mean(axis=1)
+    y = _average(residual, every) / np.where(share > 0, share, 1.0)[:, None]
+    top, low = groups.max(axis=1), np.where(groups >= 0, groups, len(EVERY)).min(axis=1)
+    whole = np.where((top == low) & ((share == 1) | (first.every > 1)), top, -1)
     W = np.broadcast_to(np.eye(len(joints)), (len(t), len(joints), len(joints)))
     usable = np.broadcast_to((whole >= 0)[:, None], y.shape)
     names: tuple[str, ...] = ("q", "v", "a", "error")
@@ -110,12 +112,13 @@ def _average(x: np.ndarray, every: int) -> np.ndarray:
 def _find_colour(joint: str, part: LoopResidual, j: int, floor: float) -> Unexplained | None:
     """Return the correlation of a residual far above the floor, by a portmanteau test of samples in order (Ljung & Box 1978)."""
     records, residual = part
-    x = residual[:, j] * np.stack([np.pad(r.used, (0, len(residual) - len(r.t))) for r in records], axis=1)
-    count = int(sum(r.used.sum() for r in records))
-    rms = float(np.sqrt((x**2).sum() / max(count, 1)))
+    kept = [residual[: len(r.t), j, k][r.used] for k, r in enumerate(records)]
+    count = sum(len(x) for x in kept)
+    square = sum(float(x @ x) for x in kept)
+    rms = float(np.sqrt(square / max(count, 1)))
     if floor <= 0 or rms < MIN_NOISE_RATIO * floor:
         return None
-    lags = int(np.clip(MAX_LAG_S / records[0].dt, 5, 100))
-    rho = np.array([(x[lag:] * x[:-lag]).sum() for lag in range(1, lags + 1)]) / (x**2).sum()
+    lags = int(np.clip(MAX_LAG_S / records[0].interval, 5, 100))
+    rho = np.array([sum(float(x[lag:] @ x[:-lag]) for x in kept) for lag in range(1, lags + 1)]) / square
     p = float(chi2.sf(count * (count + 2) * (rho**2 / np.maximum(count - np.arange(1, lags + 1), 1)).sum(), lags))
     return Unexplained(joint, (), 1 - (floor / rms) ** 2, "", p, "confirmed") if p < COLOUR_LEVEL else None

@@ -87,6 +87,7 @@ class Waves:
         held: Whether a load is constant from its sample to the next, rather than interpolated.
         coupling: Steps all joints at once; None if each joint is stepped separately.
         told: Kind of the commands, one of `simulate.COMMANDS`.
+        given_steps: Mask (N, na, S) of commands that are steps; None to find them.
     """
 
     dt: np.ndarray
@@ -108,6 +109,7 @@ class Waves:
     held: bool = False
     coupling: JointCoupling | None = None
     told: str = "position"
+    given_steps: np.ndarray | None = None
 
     @property
     def profile_steps(self) -> int:
@@ -117,7 +119,9 @@ class Waves:
     @cached_property
     def steps(self) -> np.ndarray:
         """Mask (N, na, S) of commands that are steps, not parts of a stream: see `find_command_steps`."""
-        return find_command_steps(self.command, self.dt)
+        if self.given_steps is not None:
+            return self.given_steps
+        return find_command_steps(self.command, np.arange(len(self.command))[:, None, None] * self.dt)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,16 +137,16 @@ class Trials:
     inertial: np.ndarray
 
 
-def find_command_steps(command: np.ndarray, dt: np.ndarray) -> np.ndarray:
+def find_command_steps(command: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Return the mask (N, na, S) of steps of commands: changes after a rest, or faster than a stream.
 
     Args:
         command: Commands (N, na, S) [rad], each holding until the next.
-        dt: Time between samples of each log (S,) [s].
+        t: Their times (N, 1, S) [s].
     """
     change = np.abs(np.diff(command, axis=0, prepend=command[:1]))
     sample = np.arange(len(command))[:, None, None]
     latest = np.maximum.accumulate(np.where(change > 0, sample, -len(command)), axis=0)  # sample of the last change
     before = np.concatenate([np.full_like(latest[:1], -len(command)), latest[:-1]])
-    since = (sample - before) * dt
+    since = t - np.take_along_axis(np.broadcast_to(t, command.shape), np.maximum(before, 0), axis=0)
     return (change > 0) & ((before < 0) | (since > MAX_STREAM_S * (1 + 1e-9)) | (change > MAX_STREAM_SPEED * since))
