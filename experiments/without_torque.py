@@ -40,6 +40,7 @@ from tau_dyn.servo import LoopIdentification, diagnose_loop, identify_loop, simu
 from tau_dyn.servo.data import BASELINE, fit_coupled, keep_kinds  # noqa: E402
 from tau_dyn.servo.identification import predict  # noqa: E402
 from tau_dyn.servo.preparation import prepare_loop, read_loop_logs  # noqa: E402
+from tau_dyn.servo.records import START_S  # noqa: E402
 from tau_dyn.servo.residual_structure import compute_noise_floor  # noqa: E402
 from tau_dyn.servo.waves import SPRING_STEP_S  # noqa: E402
 from tau_dyn.simulate import ServoLaw, build_servo_law, read_servo_law  # noqa: E402
@@ -184,13 +185,13 @@ def measure_noncentrality(arm: Robot, law: ServoLaw, logs: list[Log], clean: lis
     data = replace(data, unknowns=keep_kinds(data, (*BASELINE, *law.estimated)), whole=True, step=SPRING_STEP_S)
     data, fit = fit_coupled(data)
     motions = predict(data, fit, given.kept)
-    moved = np.concatenate(
-        [
-            interp1d(r.t, m.q, axis=0)(np.minimum(log.t, r.t[-1]))
-            for log, r, m in zip(logs, given.kept, motions, strict=True)
-        ]
-    )
-    measured, true = (np.concatenate([log.joint("q", arm.actuated) for log in some]) for some in (logs, clean))
+    moved, measured, true = [], [], []
+    for log, exact, record, motion in zip(logs, clean, given.kept, motions, strict=True):
+        late = (log.t - log.t[0] > START_S) & (log.t <= record.t[-1])
+        moved.append(interp1d(record.t, motion.q, axis=0)(log.t[late]))
+        for rows, one in ((measured, log), (true, exact)):
+            rows.append(one.joint("q", arm.actuated)[late])
+    moved, measured, true = (np.concatenate(rows) for rows in (moved, measured, true))
     noise = np.var(measured - true, axis=0)
     return float(np.sum((moved - true) ** 2 / noise))
 
