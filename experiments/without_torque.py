@@ -186,9 +186,9 @@ def measure_noncentrality(arm: Robot, law: ServoLaw, logs: list[Log], clean: lis
     data, fit = fit_coupled(data)
     motions = predict(data, fit, given.kept)
     moved, measured, true = [], [], []
-    for log, exact, record, motion in zip(logs, clean, given.kept, motions, strict=True):
-        late = (log.t - log.t[0] > START_S) & (log.t <= record.t[-1])
-        moved.append(interp1d(record.t, motion.q, axis=0)(log.t[late]))
+    for log, exact, kept, motion in zip(logs, clean, given.kept, motions, strict=True):
+        late = (log.t - log.t[0] > START_S) & (log.t <= kept.t[-1])
+        moved.append(interp1d(kept.t, motion.q, axis=0)(log.t[late]))
         for rows, one in ((measured, log), (true, exact)):
             rows.append(one.joint("q", arm.actuated)[late])
     moved, measured, true = (np.concatenate(rows) for rows in (moved, measured, true))
