@@ -106,6 +106,7 @@ from .plausibility import (
     measure_scales as measure_scales,
 )
 from .readings import (
+    ALIAS_NATS as ALIAS_NATS,
     MAX_NUMBER_STDERR as MAX_NUMBER_STDERR,
     MAX_ZERO_MEAN as MAX_ZERO_MEAN,
     MIN_GAIN_NATS as MIN_GAIN_NATS,

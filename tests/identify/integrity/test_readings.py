@@ -19,7 +19,7 @@ from tau_dyn.identify.integrity.wiring_numbers import try_units
 from tau_dyn.log import Log
 from tau_dyn.mechanism import build_mechanism
 from tau_dyn.message_codes import get_code
-from tau_dyn.robot import Robot, load_robot_from_urdf
+from tau_dyn.robot import Robot, load_robot, load_robot_from_urdf
 from tau_dyn.simulate import build_named_motion
 
 JOINTS = ("shoulder", "elbow")
@@ -43,14 +43,14 @@ def none_fit() -> ReadingFit:
     return ReadingFit(0.0, 0.0, np.zeros(2), 0.0, np.zeros((1, 2)))
 
 
-def less(log: Log, forces: np.ndarray) -> Log:
-    """Return a log with forces (n, 2) subtracted."""
-    return log.with_channels(**{f"tau_{j}": log.channels[f"tau_{j}"] - forces[:, k] for k, j in enumerate(JOINTS)})
+def less(log: Log, forces: np.ndarray, joints: tuple[str, ...] = JOINTS) -> Log:
+    """Return a log with forces (n, na) subtracted."""
+    return log.with_channels(**{f"tau_{j}": log.channels[f"tau_{j}"] - forces[:, k] for k, j in enumerate(joints)})
 
 
 def compute_nominal(robot, log: Log, moving: float) -> np.ndarray:
-    """Return the file's rigid-body force (n, 2) at the logged positions, at rest or in motion."""
-    q = log.joint("q", JOINTS)
+    """Return the file's rigid-body force (n, na) at the logged positions, at rest or in motion."""
+    q = log.joint("q", robot.actuated)
     v = moving * np.gradient(q, log.dt, axis=0)
     return build_mechanism(robot).inverse_dynamics(q, v, moving * np.gradient(v, log.dt, axis=0))
 
@@ -280,3 +280,16 @@ def test_a_unit_is_preferred_to_a_factor_next_to_it(two_link, arm_log) -> None:
     found = try_units(model.bare(model.test), reading)
     assert [found.get(number) for number in found.numbers] == pytest.approx([180 / np.pi] * 2)
     assert try_units(model.bare(model.test), found) == found
+
+
+def test_a_zero_of_a_joint_is_no_subtracted_model(make) -> None:
+    """A cart's encoder 18 mm off makes bodies far from the file's; a subtracted model explains it less than the zero."""
+    robot = load_robot("gantry_tau", prototype="l1")
+    truth = build_model(robot, "symmetric")
+    values = {"coulomb": 20.0, "viscous": 30.0, "offset": 0.0}
+    truth = truth.with_values({name: values[name.split(".")[1]] for name in truth.effect_parameters.names})
+    log = make.recorded(truth, build_named_motion("fourier", truth, 30.0, 1), force_noise=5.0, encoder_noise=2e-6)
+    shifted = log.with_channels(q_cart2=log.channels["q_cart2"] - 0.018)
+    assert "model_subtracted" not in {get_code(w) for w in check_against_robot(robot, [shifted])}
+    subtracted = less(log, compute_nominal(robot, log, 1.0), robot.actuated)
+    assert "model_subtracted" in {get_code(w) for w in check_against_robot(robot, [subtracted])}

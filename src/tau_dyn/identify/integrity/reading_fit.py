@@ -38,6 +38,11 @@ ROTOR_INERTIA_KG_M2 = 5.0
 MIN_MASS_SHARE = 0.3
 """Least mass of a body, as a share of the robot file's; a smaller mass means another unit."""
 
+ZERO_RAD, ZERO_M = 0.1, 0.02
+"""Standard deviation of a joint's zero: a coarse homing [rad, m]."""
+ZERO_STEP = 1e-3
+"""Step of differences by a zero, as a share of it."""
+
 OFFSET_SHARE = 1.0
 """Standard deviation of a drive's constant offset (current sensor, balancing spring), as a share of its force: no mean exceeds
 the root mean square."""
@@ -67,12 +72,14 @@ class Design:
         full: Regressor (n, na, p).
         static: Its part from gravity (n, na, p).
         subtracted: Share of a part that a reading takes as subtracted from forces.
+        zeros: Change of the file's force (n, na, na) by a usual error of each joint's zero; None where zeros are right.
     """
 
     speed: np.ndarray
     full: np.ndarray
     static: np.ndarray
     subtracted: float = 1.0
+    zeros: np.ndarray | None = None
 
     def by_clock(self, factor: float) -> Design:
         """Return the columns where the robot moves `factor` times as fast: forces of motion grow with its square."""
@@ -175,6 +182,19 @@ class LogModel:
         finite = np.all(np.isfinite(full)) and np.all(np.isfinite(static))
         return Design(v, full, static) if finite else None
 
+    def free_zeros(self, design: Design, reading: Rewiring) -> Design | None:
+        """Return the columns with the zeros of all joints free, linear about the zeros as read; None if they cannot be moved."""
+        usual = [ZERO_RAD if kind == "revolute" else ZERO_M for kind in self.robot.joint_kinds]
+        zeros = []
+        for j, size in enumerate(usual):
+            q = np.array(self.q)
+            q[:, reading.q_from[j]] += ZERO_STEP * size * reading.q_scale[j]
+            other = replace(self, q=q).design(reading)
+            if other is None:
+                return None
+            zeros.append((other.full - design.full) @ self.robot.parameters.values / ZERO_STEP)
+        return replace(design, zeros=np.stack(zeros, axis=2))
+
     def designs_by_gravity(self, reading: Rewiring, usual: Design) -> Callable[[tuple[float, ...]], Design]:
         """Return the designs by the direction of gravity, in which the regressor is linear."""
         q, _, _ = self.motion(reading)
@@ -203,8 +223,9 @@ class LogModel:
         number = rows.sum(axis=0)
         own = [scale[j] * columns[rows[:, j], j] for j in range(na)]
         targets = [self.tau[rows[:, j], tau_from[j]] - scale[j] * nominal[rows[:, j], j] for j in range(na)]
-        penalty = np.concatenate([np.ones(self.prior.shape[1]), _weigh_drives(own, size, na)])
-        floor, low = (self.test.model_error * size) ** 2, self._low()
+        n_zeros = 0 if design.zeros is None else na
+        penalty = np.concatenate([np.ones(self.prior.shape[1] + n_zeros), _weigh_drives(own, size, na)])
+        floor, low = (self.test.model_error * size) ** 2, self._low(n_zeros)
         gram, right = [x.T @ x for x in own], [x.T @ y for x, y in zip(own, targets, strict=True)]
         power, residual, held = (0.3 * size) ** 2, targets, np.zeros(len(low), bool)
         A, x = np.diag(penalty), np.zeros(len(low))
@@ -234,6 +255,8 @@ class LogModel:
                 force[:, j] -= subtracted @ values
                 if lack == kind:
                     full[:, j] -= subtracted @ self.prior
+        if design.zeros is not None:
+            full = np.concatenate([full, design.zeros], axis=2)
         n = full.shape[2]
         columns = np.zeros((len(full), na, n + N_DRIVE * na))
         columns[:, :, :n] = full
@@ -244,10 +267,10 @@ class LogModel:
             columns[:, j, n + N_DRIVE * j : n + N_DRIVE * (j + 1)] = np.column_stack(friction)
         return columns, force
 
-    def _low(self) -> np.ndarray:
-        """Return lower bounds of the unknowns."""
+    def _low(self, n_zeros: int) -> np.ndarray:
+        """Return lower bounds of the unknowns, with so many zeros of joints among them."""
         drives = np.tile([-np.inf, 0, 0, 0], self.robot.na)
-        return np.concatenate([_bounds(self.robot, self.prior), drives])
+        return np.concatenate([_bounds(self.robot, self.prior), np.full(n_zeros, -np.inf), drives])
 
     def _rigid(self, gravity: tuple[float, ...], q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         if not gravity:

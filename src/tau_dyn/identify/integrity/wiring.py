@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.evidence import (
+    ALIAS_NATS,
     MAX_NUMBER_STDERR,
     MAX_ZERO_MEAN,
     MIN_GAIN_NATS,
@@ -230,6 +231,8 @@ class Search:
             single, of_bodies = len(reading.joints) == 1, reading.code == "model_subtracted"
             if not (good and is_part_missing(self._estimate_left(reading), is_single=single, of_bodies=of_bodies)):
                 return None
+            if self._explain_by_zeros(current) > after.log_p - ALIAS_NATS:
+                return None
         elif not test.accepts(fit, after):
             return None
         if fit is not None and not is_preferred_in_each_half(self._gains_by_half(current, reading)):
@@ -245,6 +248,12 @@ class Search:
         """Return whether the log determines the numbers of a reading, or shows at least that they are not 1."""
         errors = estimate_errors(self.model.thinned().bare(self.model.test), reading)
         return all(is_factor_known(reading.get(number), error) for number, error in errors.items())
+
+    def _explain_by_zeros(self, reading: Rewiring) -> float:
+        """Return the log marginal likelihood of a reading with other zeros of the joints."""
+        design = self.model.design(reading)
+        design = design and self.model.free_zeros(design, reading)
+        return -np.inf if design is None else self.model.solve(design, reading).log_p
 
     def _estimate_left(self, reading: Rewiring) -> float:
         """Return the share that is left of the part that forces lack, at the maximum of a parabola through three fits."""
