@@ -52,13 +52,13 @@ def test_a_root_of_the_speed_with_a_high_knee_becomes_friction_that_levels_off(m
     scene = make.bench(rng).scene
     fast = float(scene.fast[0])
 
-    def follow(power: float, share: float) -> dict[str, float] | None:
+    def find_next(power: float, share: float) -> dict[str, float] | None:
         law = ViscousCurvature(["x"], ["N"], power=power, knee=share * fast).find_limit_law(scene)
         return law and dict(law.settings)
 
-    assert follow(0.5, 0.1) == {"power": 0.0, "knee": 0.1 * fast}
-    assert follow(0.0, 0.6) == {"power": PARABOLA, "knee": fast}
-    assert follow(0.5, 0.03) is None and follow(0.0, 0.04) is None and follow(1.5, 0.1) is None
+    assert find_next(0.5, 0.1) == {"power": 0.0, "knee": 0.1 * fast}
+    assert find_next(0.0, 0.6) == {"power": PARABOLA, "knee": fast}
+    assert find_next(0.5, 0.03) is None and find_next(0.0, 0.04) is None and find_next(1.5, 0.1) is None
 
 
 def test_a_parabola_grows_to_its_knee_and_stays(rng) -> None:

@@ -127,7 +127,6 @@ step change a position by less than an encoder's resolution; stamps rounded to m
 CLOCK_S = 5e-3
 """Longest step of such a clock [s]: commands and positions are at most half of it off their stamps, and corrected for it."""
 
-
 START_S = 0.3
 """Start of a log in motion that is not used [s]: the simulation starts at rest, and after four time constants of a servo's loop
 the error of that has decayed."""
