@@ -1,10 +1,17 @@
 """The residual of a loop: structure is reported with its variable, encoder noise is not, and colour above the floor is."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.signal import lfilter
 
 from tau_dyn.servo.records import LoopRecord
-from tau_dyn.servo.residual_structure import LoopResidual, find_residual_structure
+from tau_dyn.servo.residual_structure import (
+    LoopResidual,
+    build_residual_measurements,
+    compute_noise_floor,
+    find_residual_structure,
+)
 
 RATE_HZ = 50.0
 N = 600  # samples of a log
@@ -59,3 +66,18 @@ def test_colour_above_the_floor_is_reported_without_a_variable():
     found = [u for u in find(2, noise=coloured) if u.status == "confirmed"]
     assert [u.depends_on for u in found] == [()]
     assert abs(found[0].share_of_residual_variance - (1 - 1 / 9)) < 0.1
+
+
+def test_a_fine_clock_counts_only_the_samples_that_were_logged(rng):
+    """Of four samples of the clock one was logged: a residual of 2 mrad there is one of 2 mrad, and its noise the encoder's."""
+    t, noise = np.arange(4000) * 0.005, 1e-3 * rng.normal(size=(1000, 1))
+    q = np.repeat(noise, 4, axis=0)  # what lies between logged samples is not measured
+    used = np.arange(4000) % 4 == 0
+    record = LoopRecord("log", t, q, 0 * q, np.ones(4000), np.ones(4000), used, {}, every=4)
+    residual = np.where(used, 2e-3, 0.0)[:, None, None]
+    parts = [LoopResidual([replace(record, used=used & (k == np.arange(4000) // 400 % 3))], residual) for k in range(3)]
+    (run,) = build_residual_measurements(("j",), parts).runs
+    usable = np.asarray(run.usable)[:, 0]
+    assert usable.mean() > 0.9
+    np.testing.assert_allclose(run.y_all[usable, 0], 2e-3)
+    np.testing.assert_allclose(compute_noise_floor([record]), 1e-3, rtol=0.1)
