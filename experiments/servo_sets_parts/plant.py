@@ -17,8 +17,8 @@ import numpy as np
 
 GRAVITY = 9.81
 STEP_S = 2.5e-4
-CONTACT_N_M, CONTACT_N_M_S = 60.0, 0.12
-"""Stiffness and damping of gear teeth in contact [N m/rad, N m s/rad]."""
+CONTACT_N_M, CONTACT_N_M_S = 1500.0, 0.6
+"""Stiffness and damping of gear teeth in contact [N m/rad, N m s/rad]: a load bends them by less than the encoder's step."""
 SETTLED = 1e-9
 """Change of an impulse, as a share of the largest one, from which no sweep follows."""
 SWEEPS = 8

@@ -122,6 +122,31 @@ def test_a_motor_within_its_play_does_not_move_the_link():
     assert q[990] - q[-1] == pytest.approx(-play, abs=2e-3)  # the motor is held, the link falls to its other stop
 
 
+def test_elastic_teeth_in_a_play_return_at_half_speed():
+    """Of the relative speed with which teeth meet, exp(-pi D / sqrt(1 - D^2)) is left after the impact, D = 0.2."""
+    step, play = 2e-4, 0.05
+    t = np.arange(3000) * step
+    kick = np.where((t > 0) & (t < 0.01), 3.0, 0.0)
+    motor, link = (simulate_pair(step, 0.6, kick, "link", shown, backlash=play) for shown in ("motor", "link"))
+    rate = np.diff(motor - link) / step
+    free = np.flatnonzero((np.abs(motor - link)[1:] < 0.4 * play) & (t[1:] > 0.02))
+    flights = [rate[part].mean() for part in np.split(free, np.flatnonzero(np.diff(free) > 1) + 1)]
+    assert len(flights) >= 3
+    ratios = np.array(flights[1:]) / flights[:-1]
+    np.testing.assert_allclose(ratios, -np.exp(-np.pi * 0.2 / np.sqrt(1 - 0.2**2)), rtol=0.03)
+
+
+def test_coupled_joints_with_elastic_teeth_converge():
+    """Three joints with plays and undamped springs move alike by short and by long steps, to less than an encoder's step."""
+    arm = build_arm(3)
+    truth, law = build_truth(arm), build_law(arm, encoder="motor", backlash=0.03, joint_compliance=1 / 60)
+    records = build_records(truth, law, [record(arm, truth, law, 3, 3.0, clean=True)])
+    known = InertialSpace.of(truth), np.zeros(0), read_values(truth, law), law, records
+    (short,), (long,) = (simulate_coupled(*known, step) for step in (2.5e-4, 2e-3))
+    assert short.unsettled is long.unsettled is None
+    np.testing.assert_allclose(short.q, long.q, atol=1e-3)
+
+
 def test_a_sampled_spring_keeps_both_poles():
     """The step's two eigenvalues are those of the damped spring over the step."""
     K, D, mu, h = 70.0, 0.05, 0.015, 2e-3

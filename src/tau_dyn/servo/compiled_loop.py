@@ -179,7 +179,7 @@ static void turn_joint(joint_t *x, double rest) {
   x->m_next = x->m + half * (x->w + x->w_next); x->q_next = x->q + half * (v + x->v_next);
 }
 
-static void take_inertia(joint_t *x, double least, double contact) {
+static void take_inertia(joint_t *x, double least, double contact, double teeth) {
   const double *p = x->p;
   double h = x->h;
   if (x->mass == x->last) return;
@@ -188,7 +188,8 @@ static void take_inertia(joint_t *x, double least, double contact) {
   double motor = most_of(p[armature], least), link = most_of(x->mass, least), mu, share;
   x->total = h / (motor + link); share = x->share = link / (motor + link); mu = motor * share;
   x->stuck = p[joint_compliance] > 0 ? 1.0 / p[joint_compliance] : mu * (contact / h) * (contact / h);
-  spring(x->stuck, p[joint_compliance] > 0 ? p[joint_damping] : 2.0 * mu * contact / h, mu, h, &x->a, &x->S);
+  double critical = 2.0 * sqrt(x->stuck * mu), slack = x->gap > 0 ? teeth * critical : 0.0;
+  spring(x->stuck, p[joint_compliance] > 0 ? most_of(p[joint_damping], slack) : critical, mu, h, &x->a, &x->S);
   x->S = 1.0 / x->S; x->open = h / mu;
   x->firm = 1.0 / (x->total + share * share * x->S); x->loose = 1.0 / (x->total + share * share * x->open);
 }
@@ -270,7 +271,7 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
   int64_t together = every ? J : LANES, window = size[12], sweeps = size[13], failed = 0;  /* together are stepped in turn */
   int told = (int)size[14];
   int64_t plane = J * C * L * N;
-  double least = limits[0], straight = limits[1], contact = limits[2], settled = limits[3];
+  double least = limits[0], straight = limits[1], contact = limits[2], teeth = limits[3], settled = limits[4];
   joint_t *all = malloc(2 * (size_t)together * sizeof(joint_t)), *kept = all + together;
   int64_t trials = every ? 1 : LANES;
   double *M = malloc((size_t)(3 * J * J + J + trials * K) * sizeof(double)), *G = M + J * J;  /* and room for a step */
@@ -349,7 +350,7 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
             x->slope = held_load ? 0.0 : (x->next_load - now) / (double)often;
             x->turn = (x->way[k + 1] - x->way[k]) / (double)often;
             x->full = x->p[force_per_unit] * en[k];
-            take_inertia(x, least, contact);
+            take_inertia(x, least, contact, teeth);
           }
           if (every) {  /* mass matrix and slopes of gravity between their rows */
             const double *m0 = masses + (s * R + k / every) * J * J, *g0 = slopes + (s * R + k / every) * J * J;
@@ -398,8 +399,9 @@ def run_compiled(
         waves: Data of logs and robot.
         trials: Values to simulate.
         often: Steps between samples.
-        limits: Smallest inertia [kg m^2], straight part of a bent drive law, turn of a stop's contact in a step [rad], and change
-            of speeds at which a step of coupled joints has converged [rad/s].
+        limits: Smallest inertia [kg m^2], straight part of a bent drive law, turn of a stop's contact in a step [rad], least
+            damping of a spring behind a play over the critical one, and change of speeds at which a step of coupled joints has
+            converged [rad/s].
         sweeps: Sweeps over the joints of such a step, at most.
         motion: Whether the links' positions and speeds are appended to the positions.
     """
