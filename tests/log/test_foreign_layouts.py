@@ -267,6 +267,18 @@ def test_what_one_joint_lacks_is_named_and_the_rest_is_proposed(tmp_path):
     assert "knee_joint; not mapped: foo." in proposal.warnings[1]
 
 
+def test_a_servos_switch_is_no_torque(tmp_path):
+    """`torque_enable` of 0 and 1 switches the motor; the goals are commands, and the switch keeps its name in the log."""
+    path = tmp_path / "servo.csv"
+    q, _ = make_motion(1)
+    on = np.arange(N) % 3 > 0
+    table = {"timestamp": T, "position": q[:, 0], "goal_position": 1.1 * q[:, 0], "torque_enable": on.astype(int)}
+    pd.DataFrame(table).to_csv(path, index=False)
+    proposal = propose_columns(path, make_arm("shoulder"))
+    assert proposal.entries == {"t": "timestamp", "q_shoulder": "position", "cmd_shoulder": "goal_position"}
+    assert open_log(path, proposal.to_map()).channels["torque_enable"].tolist() == on.tolist()
+
+
 def test_proposals_agree_with_the_maps_of_the_data_sets():
     """Published logs: the columns and units of the maps kept here; torque constants, gears and couplings are left to people."""
     import os

@@ -7,11 +7,12 @@ import pytest
 
 from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log
+from tau_dyn.robot import Robot
 from tau_dyn.servo import identify_loop, simulate_loop_log
 from tau_dyn.servo.prediction import simulate_coupled
 from tau_dyn.servo.records import InertialSpace, build_records
 from tau_dyn.servo.simulation import read_values
-from tau_dyn.simulate import Trajectory
+from tau_dyn.simulate import ServoLaw, Trajectory
 
 from .arms import build_arm, build_law, build_truth
 
@@ -108,21 +109,37 @@ def test_a_law_that_takes_off_a_share_of_the_speed_is_found() -> None:
     assert np.max(found.holdout.rms) < 0.015
 
 
+def let_fall(robot: Robot, law: ServoLaw) -> Log:
+    """Return the log of an arm under a constant command, whose motor is switched off after a second."""
+    t = np.arange(0, 3, 0.02)
+    still = {"cmd_j1": np.zeros(len(t)), "q_j1": np.zeros(len(t))}
+    switched = Log(t, still | {"torque_enable": np.where(t < 1.0, 1.0, 0.0)}, "fall.csv")
+    truth = build_truth(robot)
+    (record,) = build_records(truth, replace(law, enabled="torque_enable"), [switched])
+    (motion,) = simulate_coupled(InertialSpace.of(truth), np.zeros(0), read_values(truth, law), law, [record])
+    return switched.with_channels(q_j1=np.interp(t, record.t, motion.q[:, 0]))
+
+
 def test_a_log_of_a_motor_that_is_switched_off_needs_no_law() -> None:
     """An arm that falls with its motor off moves under a constant command; the column `torque_enable` is zero then."""
     robot = build_arm(1)
     law = build_law(robot, gain=1.2, back_emf=0.02, load_friction=0.0, stiction=0.0)
-    t = np.arange(0, 3, 0.02)
-    switched = Log(
-        t, {"cmd_j1": np.zeros(len(t)), "q_j1": np.zeros(len(t)), "torque_enable": np.where(t < 1.0, 1.0, 0.0)}
-    )
-    truth = build_truth(robot)
-    (record,) = build_records(truth, replace(law, enabled="torque_enable"), [switched])
-    values = read_values(truth, law)
-    (motion,) = simulate_coupled(InertialSpace.of(truth), np.zeros(0), values, law, [record])
-    fallen = switched.with_channels(q_j1=np.interp(t, record.t, motion.q[:, 0]))
+    fallen = let_fall(robot, law)
     assert np.ptp(fallen.channels["q_j1"]) > 0.3
     steps = log_steps(robot, law, 0.5, 3)
     steps = steps.with_channels(torque_enable=np.ones(steps.n_samples))
     found = identify_loop(robot, [steps, fallen])
     assert found.law.enabled == "torque_enable" and np.max(found.train.rms) < 0.02
+
+
+def test_a_fall_with_the_motor_off_tells_friction_from_back_emf() -> None:
+    """A motor that is off has no back EMF: 0.493 N m s/rad while it is on, next to 0.02 of viscous friction."""
+    robot = build_arm(1)
+    law = build_law(robot, load_friction=0.0, stiction=0.0)
+    steps = log_steps(robot, law, 0.5, 3)
+    steps = steps.with_channels(torque_enable=np.ones(steps.n_samples))
+    found = identify_loop(robot, [steps, let_fall(robot, law)])
+    values = {p.name: p.value for p in found.parameters}
+    assert values["j1.back_emf"] / values["j1.position_gain"] == pytest.approx(0.17 / 2.65, rel=0.1)
+    assert values.get("j1.viscous", 0.0) < 0.2 * values["j1.back_emf"]
+    assert "back_emf" not in identify_loop(robot, [steps], holdout=[let_fall(robot, law)]).law.estimated

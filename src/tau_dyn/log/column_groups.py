@@ -24,7 +24,7 @@ _WORDS: Mapping[str, frozenset[str]] = {
     "q": frozenset("q qm pos position positions angle angles theta state enc encoder encoders".split()),
     "temp": frozenset("temp temperature temperatures".split()),
     "other": frozenset(
-        "tcp tool ee cartesian pose ext external volts voltage error fric friction con load contact".split()
+        "tcp tool ee cartesian pose ext external volts voltage error fric friction con load contact enable enabled flag".split()
     ),
 }
 """Words of a name by the kind that they denote; the first row with a match decides, after `other` and `reference`."""

@@ -219,6 +219,8 @@ ALWAYS = ("armature", "command_delay")
 """Entries estimated for every joint in addition to friction, unless the law or `--fix` gives them."""
 TORQUE_SWITCH = "torque_enable"
 """Column that servos' registers and their logs name so: zero where the motor is switched off."""
+MIN_TRAVEL_OFF = 0.05
+"""Travel with the motors off, as a share of that with them on, from which logs tell friction from back EMF."""
 MIN_LOG_S = 0.5
 """Shortest log without gaps [s]: a step and its answer."""
 MIN_SECONDS = 5.0
@@ -306,7 +308,7 @@ def read_loop_logs(robot: Robot, logs: Log | Recording | Iterable[Log | Recordin
     said = list(dict.fromkeys(w for x in (*pieces, *apart) for w in (*x.warnings, *list_unit_warnings(x, robot))))
     model, progress = options.get("model", "asymmetric"), options.get("progress", lambda step: None)
     friction = model if isinstance(model, str) else ""
-    law = options.get("law") or _guess_law(robot, [*pieces, *apart])
+    law = options.get("law") or _guess_law(robot, pieces, apart)
     own, theirs = _split_choices(options.get("choices") or Choices(), robot)
     started = theirs.apply(_build_start(robot, friction))
     progress("loads")
@@ -440,11 +442,20 @@ def _build_start(robot: Robot, friction: str) -> Model:
     )
 
 
-def _guess_law(robot: Robot, logs: Sequence[Log]) -> ServoLaw:
-    """Return a law with the only assumption that torque grows with the position error while the motor is on."""
+def _guess_law(robot: Robot, train: Sequence[Log], held: Sequence[Log]) -> ServoLaw:
+    """Return a law with the only assumption that torque grows with the position error while the motor is on.
+
+    Joints that move with their motors on and off tell friction from the motors' back EMF.
+    """
     law = ServoLaw.of(robot.actuated, given=False, position_gain=5.0, force_per_unit=1.0, limit=np.inf)
-    enabled = TORQUE_SWITCH if logs and all(TORQUE_SWITCH in log.channels for log in logs) else ""
-    return replace(law, estimated=frozenset({"position_gain"}), enabled=enabled)
+    unknown = {"position_gain"}
+    if not train or not all(TORQUE_SWITCH in log.channels for log in (*train, *held)):
+        return replace(law, estimated=frozenset(unknown))
+    on = np.concatenate([log.channels[TORQUE_SWITCH][1:] != 0 for log in train])
+    travel = np.concatenate([np.abs(np.diff(log.joint("q", robot.actuated), axis=0)).sum(axis=1) for log in train])
+    if travel[~on].sum() > MIN_TRAVEL_OFF * travel[on].sum():
+        unknown.add("back_emf")
+    return replace(law, estimated=frozenset(unknown), enabled=TORQUE_SWITCH)
 
 
 def _split(log: Log) -> list[Log]:

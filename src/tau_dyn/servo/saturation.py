@@ -45,7 +45,7 @@ def start_saturated(
         kinds: Kinds of unknowns that the fit will have in addition to the law's; None for all.
     """
     data, law = prepare_loop(given, records), given.law
-    is_guessed = law.estimated == {"position_gain"} and np.all(np.isinf(law.values["limit"]))
+    is_guessed = law.estimated <= {"position_gain", "back_emf"} and np.all(np.isinf(law.values["limit"]))
     is_limited = any("limit" in text for text in (*given.own.fix, *given.own.bound))
     if (
         law.command != COMMANDS[0]
