@@ -79,6 +79,17 @@ def test_a_play_is_named_with_its_width():
     assert best.parameters[0].value == pytest.approx(0.03, rel=0.05)
 
 
+def test_a_large_dead_band_is_told_from_coulomb_friction():
+    """Errors up to 32 mrad without torque hold a resting joint as 0.25 N m of friction would, and do not brake a moving one."""
+    arm = build_arm(1, mass=0.1)
+    truth = build_truth(arm).with_values({"j1.armature": 0.006, "j1.coulomb": 0.04})
+    laws = [build_law(arm, **(NOTHING | more)) for more in ({"dead_band": 0.032}, {})]
+    answer = diagnose_loop(arm, [record(arm, truth, laws[0], seed, 30.0) for seed in (1, 2)], law=laws[1])
+    (finding,) = answer.findings
+    assert (finding.cause, finding.status) == ("dead_band", "confirmed")
+    assert finding.parameters[0].value == pytest.approx(0.032, abs=1e-3)
+
+
 @pytest.mark.parametrize("cause", ["carried_friction", "load_friction"])
 def test_friction_by_the_load_is_told_from_friction_by_the_torque(cause):
     """A gear that rubs by what it carries, and one that rubs by the motor's torque, are named apart, each with its share."""

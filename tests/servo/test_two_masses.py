@@ -136,15 +136,19 @@ def test_elastic_teeth_in_a_play_return_at_half_speed():
     np.testing.assert_allclose(ratios, -np.exp(-np.pi * 0.2 / np.sqrt(1 - 0.2**2)), rtol=0.03)
 
 
-def test_coupled_joints_with_elastic_teeth_converge():
-    """Three joints with plays and undamped springs move alike by short and by long steps, to less than an encoder's step."""
+@pytest.mark.parametrize("stiffness", [60, 300, 1500])
+def test_coupled_joints_with_elastic_teeth_converge(stiffness):
+    """Three joints with plays and undamped springs move alike by short and by long steps, to less than a 12 bit encoder's step.
+
+    A link is lighter while the other joints give way; springs on its own inertia alone ended in infinite numbers.
+    """
     arm = build_arm(3)
-    truth, law = build_truth(arm), build_law(arm, encoder="motor", backlash=0.03, joint_compliance=1 / 60)
+    truth, law = build_truth(arm), build_law(arm, encoder="motor", backlash=0.03, joint_compliance=1 / stiffness)
     records = build_records(truth, law, [record(arm, truth, law, 3, 3.0, clean=True)])
     known = InertialSpace.of(truth), np.zeros(0), read_values(truth, law), law, records
     (short,), (long,) = (simulate_coupled(*known, step) for step in (2.5e-4, 2e-3))
     assert short.unsettled is long.unsettled is None
-    np.testing.assert_allclose(short.q, long.q, atol=1e-3)
+    assert np.sqrt(np.mean((short.q - long.q) ** 2, axis=0)).max() < 2 * np.pi / 4096
 
 
 def test_a_sampled_spring_keeps_both_poles():

@@ -139,11 +139,12 @@ _PROFILE = 20.0  # rad/s^2; half of the highest that Feetech's servos can be set
 _FIRST_STICTION = 3e-3  # as a share of the loop's stiffness
 _PLAYS = (0.005, 0.03)  # rad; of gears, and of worn hobby servos
 DELAYS = (0.002, 0.008)  # s; a step of a servo's bus, and several
-_DEAD_BANDS = (0.006, 0.03)  # rad; Coulomb friction imitates a small part of a large one
+_DEAD_BANDS = (0.006, 0.03)  # rad
 RESONANCES_HZ = (2.0, 4.0, 8.0, 16.0, 32.0)
 """Start resonances of springs, with the link on its spring and the motor fixed, up to the log's Nyquist frequency."""
 _DAMPING_RATIO = 0.05  # of a spring's start; of gears with elastic parts, 0.02 to 0.1
-_FEW = 0.1  # share of a rigid joint's viscous friction, and of the link's inertia as the drive's, with which springs also start
+_FEW = 0.1  # share of a rigid joint's viscous friction, and of the link's inertia as the drive's, with which springs also start;
+# of the Coulomb friction, with which dead bands do
 
 
 def list_starts(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str) -> list[dict[str, np.ndarray]]:
@@ -162,8 +163,12 @@ def list_starts(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str) -> li
         heavy = {key: np.array(values[key]) for key in ("viscous", "armature")}
         light = {"viscous": _FEW * values["viscous"], "armature": np.maximum(values["armature"], _FEW * inertia)}
         return [spring | rest for rest in (heavy, light) for spring in springs]
-    if cause in ("backlash", "dead_band"):
-        return [{entry: np.full(na, width)} for width in (_PLAYS if cause == "backlash" else _DEAD_BANDS)]
+    if cause == "backlash":
+        return [{entry: np.full(na, width)} for width in _PLAYS]
+    if cause == "dead_band":  # Coulomb friction has grown by the torque that the dead band takes away
+        stiffness, friction = compute_stiffness(values), values["coulomb"]
+        rest = [np.maximum(friction - width * stiffness, _FEW * friction) for width in _DEAD_BANDS]
+        return [{entry: np.full(na, width), "coulomb": f} for width, f in zip(_DEAD_BANDS, rest, strict=True)]
     if cause == "goal_profile":
         known, passes = data.law.values[entry], data.law.values["steps_pass"]
         first = np.where(np.isfinite(known), known, _PROFILE)

@@ -83,7 +83,7 @@ typedef struct {
   double q, v, m, w, v_before, integral, next_load, mass, last;
   /* total is h over both inertias, S and open are the inverse steps of the twist's rate, firm and loose inverse mobilities */
   double total, share, a, S, stuck, open, firm, loose, gap;
-  double rest0, slope, turn, full;
+  double rest0, slope, turn, full, loaded, last_loaded;  /* loaded: the link's inertia while the other joints give way */
   double push, damping, friction, rest, q_next, v_next, m_next, w_next;
 } joint_t;
 
@@ -182,16 +182,39 @@ static void turn_joint(joint_t *x, double rest) {
 static void take_inertia(joint_t *x, double least, double contact, double teeth) {
   const double *p = x->p;
   double h = x->h;
-  if (x->mass == x->last) return;
-  x->last = x->mass;
+  if (x->mass == x->last && x->loaded == x->last_loaded) return;
+  x->last = x->mass; x->last_loaded = x->loaded;
   if (!x->elastic) {x->firm = most_of(x->mass + p[armature], least) / h; return;}
   double motor = most_of(p[armature], least), link = most_of(x->mass, least), mu, share;
   x->total = h / (motor + link); share = x->share = link / (motor + link); mu = motor * share;
   x->stuck = p[joint_compliance] > 0 ? 1.0 / p[joint_compliance] : mu * (contact / h) * (contact / h);
-  double critical = 2.0 * sqrt(x->stuck * mu), slack = x->gap > 0 ? teeth * critical : 0.0;
-  spring(x->stuck, p[joint_compliance] > 0 ? most_of(p[joint_damping], slack) : critical, mu, h, &x->a, &x->S);
+  /* the coupling itself takes `more` off the twist's inertia over the step */
+  double gives = p[joint_compliance] > 0 ? clip(x->loaded, least, link) : link;
+  double mine = motor * gives / (motor + gives), more = (mu - mine) / h;
+  double critical = 2.0 * sqrt(x->stuck * mine), slack = x->gap > 0 ? teeth * critical : 0.0;
+  spring(x->stuck, p[joint_compliance] > 0 ? most_of(p[joint_damping], slack) : critical, mine, h, &x->a, &x->S);
+  x->a = (x->a * x->S + more) / (x->S + more); x->S += more;
   x->S = 1.0 / x->S; x->open = h / mu;
   x->firm = 1.0 / (x->total + share * share * x->S); x->loose = 1.0 / (x->total + share * share * x->open);
+}
+
+/* Inertias of links behind springs while the other joints give way: the inverse of the inverse mass matrix's diagonal, with the
+   drives of rigid joints on their links */
+static void take_loaded_inertias(joint_t *all, int64_t J, const double *M, double *y, double *A) {
+  for (int64_t n = 0; n < J; n++) for (int64_t j = 0; j <= n; j++) {
+    double sum = M[n * J + j] + (n == j && !all[n].elastic ? all[n].p[armature] : 0.0), own = sum;
+    for (int64_t i = 0; i < j; i++) sum -= A[n * J + i] * A[j * J + i];
+    A[n * J + j] = j < n ? sum / A[j * J + j] : sqrt(most_of(sum, 1e-9 * own));
+  }
+  for (int64_t n = 0; n < J; n++) {
+    double square = 0.0;
+    for (int64_t j = n; j < J; j++) {
+      double sum = n == j;
+      for (int64_t i = n; i < j; i++) sum -= A[j * J + i] * y[i];
+      y[j] = sum / A[j * J + j]; square += y[j] * y[j];
+    }
+    all[n].loaded = 1.0 / square;
+  }
 }
 
 /* What a trial's inertial unknowns add to a row: only those that differ from the waves' own */
@@ -350,7 +373,7 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
             x->slope = held_load ? 0.0 : (x->next_load - now) / (double)often;
             x->turn = (x->way[k + 1] - x->way[k]) / (double)often;
             x->full = x->p[force_per_unit] * en[k];
-            take_inertia(x, least, contact, teeth);
+            x->loaded = x->mass;
           }
           if (every) {  /* mass matrix and slopes of gravity between their rows */
             const double *m0 = masses + (s * R + k / every) * J * J, *g0 = slopes + (s * R + k / every) * J * J;
@@ -359,7 +382,9 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
               M[n] = m0[n] + part * (m0[n + J * J] - m0[n]);
               G[n] = g0[n] + part * (g0[n + J * J] - g0[n]);
             }
+            take_loaded_inertias(all, J, M, G + J * J, G + J * J + J);
           }
+          for (int64_t n = 0; n < together; n++) take_inertia(all + n, least, contact, teeth);
           for (int64_t i = 0; i < often; i++) {
             for (int64_t n = 0; n < together; n++) drive(all + n, N, often, k, i, on_motor, told, sup[k], straight);
             if (every) turn_together(all, J, M, k, i, sweeps, settled);

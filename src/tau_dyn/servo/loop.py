@@ -200,7 +200,7 @@ class _Loops:
         """Return the quantities that hold from one sample to the next."""
         waves, p, load = self._waves, self._p, self._load
         if self._joint is not None:
-            self._joint.set_inertia(self._inertia[k])
+            self._joint.set_inertia(self._inertia[k], self._compute_loaded_inertias(k))
         along = waves.along[k : k + 2, :, None, :]
         return _Sample(
             np.maximum(self._inertia[k] + p["armature"], MIN_INERTIA) / self._h,
@@ -212,6 +212,29 @@ class _Loops:
             along[0],
             (along[1] - along[0]) / self._often,
         )
+
+    def _interpolate_matrices(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mass matrix and the slopes of gravity (na, na, S) at a sample, for coupled joints."""
+        assert self._rows is not None and self._waves.coupling is not None
+        row, part = divmod(k, self._waves.coupling.every)
+        part = part / self._waves.coupling.every
+        M, slopes = (
+            np.moveaxis(x[:, row] + part * (x[:, row + 1] - x[:, row]), 0, -1)
+            for x in (self._rows.mass, self._rows.slope)
+        )
+        return M, slopes
+
+    def _compute_loaded_inertias(self, k: int) -> np.ndarray:
+        """Return the links' inertias (na, C, S) [kg m^2] at a sample while the other joints give way.
+
+        It is the inverse of the diagonal of the inverse mass matrix, with the drives of rigid joints on their links.
+        """
+        if self._rows is None or self._waves.coupling is None or self._joint is None:
+            return self._inertia[k]
+        M = np.moveaxis(self._interpolate_matrices(k)[0], -1, 0)
+        rigid = np.where(self._joint.there, 0.0, self._p["armature"])[:, 0, :].T
+        inverse = np.linalg.inv(M + rigid[:, :, None] * np.eye(M.shape[1]))
+        return (1.0 / np.diagonal(inverse, axis1=1, axis2=2)).T[:, None, :]
 
     def _step_once(self, k: int, i: int, sample: _Sample) -> None:
         """Compute step `i` of sample `k`: the law, the motor's torque, loads and friction, the motion."""
@@ -250,11 +273,7 @@ class _Loops:
         if self._rows is None or waves.coupling is None:
             m, w, q, after = step(rest)
         else:
-            row, part = divmod(k, waves.coupling.every)
-            M, slopes = (
-                np.moveaxis(x[:, row] + part / waves.coupling.every * (x[:, row + 1] - x[:, row]), 0, -1)
-                for x in (self._rows.mass, self._rows.slope)
-            )
+            M, slopes = self._interpolate_matrices(k)
             others = slopes * (1 - np.eye(len(M)))[:, :, None]
             rest = rest + np.einsum("jis,ics->jcs", others, apart)
             m, w, q, after = _step_together(step, rest, M / h[0], v, gained)
@@ -321,18 +340,22 @@ class _Twist:
         self.there = self._springy | (p["backlash"] > 0)
         self.start = p["joint_compliance"] * load + np.sign(load) * self._gap
 
-    def set_inertia(self, link: np.ndarray) -> None:
-        """Store the link's inertia (na, C, S) [kg m^2] over a sample."""
+    def set_inertia(self, link: np.ndarray, loaded: np.ndarray) -> None:
+        """Store the link's inertia over a sample, alone and while the other joints give way (na, C, S) [kg m^2]."""
         p, h = self._p, self._h
         motor, link = np.maximum(p["armature"], MIN_INERTIA), np.maximum(link, MIN_INERTIA)
         self._total, self._share = motor + link, link / (motor + link)
         self._mu = motor * self._share
         contact = self._mu * (CONTACT_TURN / h) ** 2
         self._stiffness = np.where(self._springy, 1.0 / np.where(self._springy, p["joint_compliance"], 1.0), contact)
-        critical = 2.0 * np.sqrt(self._stiffness * self._mu)
+        gives = np.where(self._springy, np.clip(loaded, MIN_INERTIA, link), link)
+        mine = motor * gives / (motor + gives)
+        more = (self._mu - mine) / h  # the coupling itself takes this off the twist's inertia over the step
+        critical = 2.0 * np.sqrt(self._stiffness * mine)
         least = np.where(self._gap > 0, TEETH_DAMPING * critical, 0.0)
         damping = np.where(self._springy, np.maximum(p["joint_damping"], least), critical)
-        self._a, self._S = solve_spring(self._stiffness, damping, self._mu, h)
+        a, S = solve_spring(self._stiffness, damping, mine, h)
+        self._a, self._S = (a * S + more) / (S + more), S + more
 
     def step(self, state, push, rest, damping, friction):  # noqa: ANN001, ANN201
         """Return the speeds of motor and link after a step."""
