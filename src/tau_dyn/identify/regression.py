@@ -215,7 +215,10 @@ class PreparedSegment:
 
         Samples are last in memory, for fast filters.
         """
-        Y = self.without_contacts(Y)
+        return self.filter_columns(self.without_contacts(Y), gated=gated)
+
+    def filter_columns(self, Y: np.ndarray, *, gated: bool) -> np.ndarray:
+        """Return columns (N, na, p) without forces of the ground after filter and decimation (n, na, p); see `columns`."""
         N, na, p = Y.shape
         rows = np.ascontiguousarray(Y.transpose(1, 2, 0))
         k, column = np.nonzero((rows.max(axis=2, initial=0) != 0) | (rows.min(axis=2, initial=0) != 0))
@@ -231,33 +234,42 @@ class PreparedSegment:
 
     def columns_of(self, effects: Sequence[Effect]) -> list[np.ndarray]:
         """Return the gated columns (n, na, p) of several effects, filtered together; zeros are not filtered."""
-        if self.contacts is not None:
-            return [self.columns(effect.columns(self.motion)) for effect in effects]
         gate, N = np.ascontiguousarray(self.gate.T), len(self.gate)
         out, rows, places = [], [], []
 
         def finish() -> None:
             if rows:
                 for (made, k, column), x in zip(places, self.passed(np.stack(rows).T).T, strict=True):
-                    made[k, column] = x / self.weight[:, k]
+                    made[k, column] += x / self.weight[:, k]
             rows.clear()
             places.clear()
 
         for effect in effects:
+            if self.contacts is not None and not _acts_by_joint(effect):
+                out.append(self.columns(effect.columns(self.motion)).transpose(1, 2, 0))
+                continue
             size, touching = _list_touching(effect, self.motion)
             out.append(np.zeros((gate.shape[0], size, -(-N // self.factor))))
-            for k, column, x in touching:
-                rows.append(gate[k] * x)
-                places.append((out[-1], k, column))
+            for joint, column, x in touching:
+                for k, share in self._list_equations(joint):
+                    rows.append(gate[k] * share * x)
+                    places.append((out[-1], k, column))
                 if len(rows) * N > _MAX_VALUES:
                     finish()
         finish()
         return [made.transpose(2, 0, 1) for made in out]
 
+    def _list_equations(self, joint: int) -> Iterator[tuple[int, np.ndarray | float]]:
+        """Return the equations in which a joint's force is, with its factor (N,): its own alone without contacts."""
+        if self.contacts is None:
+            yield joint, 1.0
+            return
+        shares = self.contacts.G[:, joint].T
+        yield from ((k, share) for k, share in enumerate(shares) if share.any())
+
     def run(self, model: Model) -> RegressionRun:
         """Return the regression of a model on this stretch."""
-        Y = compute_columns(model, self.motion)
-        force = self.without_contacts(self.force)
+        Y, force = self.without_contacts(compute_columns(model, self.motion)), self.without_contacts(self.force)
         y = self.passed(self.gate * force) / self.weight
         signals = {key: decimate(getattr(self.motion, key), self.factor) for key in ("q", "v", "a")}
         joints = model.robot.actuated
@@ -268,10 +280,10 @@ class PreparedSegment:
         return RegressionRun(
             self.log.name,
             decimate(self.log.t, self.factor),
-            self.columns(Y),
+            self.filter_columns(Y, gated=True),
             y,
             self.usable,
-            self.columns(Y, gated=False),
+            self.filter_columns(Y, gated=False),
             self.passed(force),
             signals,
         )
