@@ -6,11 +6,11 @@
 In: quadrupeds of example-robot-data. MuJoCo is the witness: it gets the robot file with other masses (each body's by up to 10 %,
 the trunk's centre by up to 15 mm), Coulomb and viscous friction, rotor inertia and round feet on a floor, and a controller that
 follows joint targets. Three logs of 20 s, or 120 s for a diagnosis, are trained on together: swaying on four feet, a trot, and a
-crawl; another trot of 10 s is held out. Sensors: encoders, torques, contact flags, and the base's pose as motion capture measures it, with white noise of
-`--noise` times the sizes in `Quadruped`. tau_dyn sees the logs and the robot file.
+crawl; another trot of 10 s is held out. Sensors: encoders, torques, contact flags, and the base's pose as motion capture
+measures it, with white noise of `--noise` times the sizes in `Quadruped`. tau_dyn sees the logs and the robot file.
 Out: `legged.csv`, one row a robot and seed: errors of the total mass, of the trunk's centre (its first moment with the weights
 that hang on it, over its mass), of the friction of the legs' joints, also at 1 rad/s, the share of the base parameters within
-their 95 % intervals, and the held-out error. One run takes about a minute.
+their 95 % intervals, and the held-out error. One run takes about a minute, a diagnosis ten.
 
 `--what payload` puts a box of 5 % of the robot's mass on the trunk for a second set of logs, and compares it with what `payload`
 finds. `friction` adds Stribeck friction of half of the Coulomb friction to one joint, `imu` turns the logged orientation by 20

@@ -28,7 +28,7 @@ from tau_dyn.effects import (
     get_measured_signals,
     name_effect_in_errors,
 )
-from tau_dyn.estimate import Preparation, Regression, RegressionRun
+from tau_dyn.estimate import ROUNDING, Preparation, Regression, RegressionRun
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.motor_electrics import RECORDED, SPEED
 from tau_dyn.identify.preparation import (
@@ -217,11 +217,15 @@ class PreparedSegment:
         """
         return self.filter_columns(self.without_contacts(Y), gated=gated)
 
-    def filter_columns(self, Y: np.ndarray, *, gated: bool) -> np.ndarray:
-        """Return columns (N, na, p) without forces of the ground after filter and decimation (n, na, p); see `columns`."""
+    def filter_columns(self, Y: np.ndarray, *, gated: bool, equations: np.ndarray | None = None) -> np.ndarray:
+        """Return columns (N, na, p) without forces of the ground after filter and decimation (n, na, p); see `columns`.
+
+        Only some equations (na,) are filtered if they are given; others are zero.
+        """
         N, na, p = Y.shape
         rows = np.ascontiguousarray(Y.transpose(1, 2, 0))
-        k, column = np.nonzero((rows.max(axis=2, initial=0) != 0) | (rows.min(axis=2, initial=0) != 0))
+        is_felt = (rows.max(axis=2, initial=0) != 0) | (rows.min(axis=2, initial=0) != 0)
+        k, column = np.nonzero(is_felt if equations is None else is_felt & equations[:, None])
         out = np.zeros((na, p, -(-N // self.factor)))
         if k.size:
             touching = rows[k, column]
@@ -277,13 +281,19 @@ class PreparedSegment:
             if self.log.has(name, joints):  # through both filters, as forces are
                 smooth = lowpass(self.log.joint(name, joints), self.preparation.position_cutoff_hz, self.rate_hz)
                 signals |= {name: self.passed(smooth), SPEED: self.passed(self.motion.v)}
+        W_all = self.filter_columns(Y, gated=False)
+        if self.contacts is None:
+            W = self.filter_columns(Y, gated=True)
+        else:  # the base's equations are mostly never shut
+            shut = np.abs(self.gate - 1).max(axis=0) > ROUNDING
+            W = np.where(shut[:, None], self.filter_columns(Y, gated=True, equations=shut), W_all)
         return RegressionRun(
             self.log.name,
             decimate(self.log.t, self.factor),
-            self.filter_columns(Y, gated=True),
+            W,
             y,
             self.usable,
-            self.filter_columns(Y, gated=False),
+            W_all,
             self.passed(force),
             signals,
         )

@@ -54,7 +54,10 @@ class ContactElimination(NamedTuple):
     free: np.ndarray
 
     def project(self, rows: np.ndarray) -> np.ndarray:
-        """Return `G'` times forces (N, n) or columns (N, n, p), whose samples are last in memory; products with zero are skipped."""
+        """Return `G'` times forces (N, n) or columns (N, n, p).
+
+        Samples of columns are last in memory, and products with zero are skipped: most columns act on few coordinates.
+        """
         if rows.ndim == 2:
             return np.einsum("nij,ni->nj", self.G, rows)
         columns = np.ascontiguousarray(rows.transpose(1, 2, 0))
