@@ -17,6 +17,7 @@ than that of fixed weights. Reference: Huber & Ronchetti 2009, 7 and 8; Maronna 
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any, cast
 
 import numpy as np
 from scipy import integrate, linalg, optimize, stats
@@ -53,7 +54,7 @@ def solve_scaled(W: np.ndarray, y: np.ndarray, tolerance: float) -> np.ndarray:
     try:
         return np.linalg.lstsq(unit, y, rcond=tolerance)[0] / norm
     except np.linalg.LinAlgError:  # LAPACK's divide and conquer may fail where its QR iterations converge
-        return linalg.lstsq(unit, y, cond=tolerance, lapack_driver="gelss")[0] / norm
+        return cast(Any, linalg.lstsq(unit, y, cond=tolerance, lapack_driver="gelss"))[0] / norm
 
 
 BISQUARE = 4.685  # efficiency 95 % if the noise is Gaussian (Beaton & Tukey 1974)
