@@ -102,6 +102,17 @@ def test_a_friction_law_has_the_same_columns_joint_by_joint(walker, walk):
         assert_allclose(columns, wanted, atol=1e-9 * np.abs(wanted).max())
 
 
+def test_a_regression_leaves_out_what_its_equations_shut(walker, walk):
+    """Forces and columns of a leg count in the air alone, those of the base always: both sides have the same gate."""
+    (log,) = complete_base(walker, [walk.record(walker, 12.0, 1)])
+    model = build_model(walker, "symmetric")
+    piece = prepare_segment(model, log, choose_preparation(walker, [log]))
+    run, m = piece.run(model), piece.motion
+    rigid = build_mechanism(walker).regressor(m.q, m.v, m.a)
+    assert_allclose(run.W[:, :, : rigid.shape[2]], piece.columns(rigid), atol=1e-6 * np.abs(run.W).max())
+    assert (piece.gate[:, 6:] == 0).any() and run.usable[:, 6:].any()
+
+
 def test_a_leg_in_the_air_keeps_its_own_equations(walker, motion):
     """Without contacts nothing is taken out; a lifted leg's three torques stay as they are."""
     q, v, a = motion
