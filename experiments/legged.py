@@ -1,16 +1,16 @@
 """Does identification of a walking robot find the masses and the friction that MuJoCo simulated?
 
-    python experiments/legged.py [--what identify payload friction imu clean] [--robots solo12 go2] [--seeds 5] [--noise 1]
-        [--seconds 20] [--out DIR]
+    python experiments/legged.py [--what identify payload friction imu clean] [--robots solo12 go2] [--seeds 5] [--first 0]
+        [--noise 1] [--seconds S] [--out DIR]
 
 In: quadrupeds of example-robot-data. MuJoCo is the witness: it gets the robot file with other masses (each body's by up to 10 %,
 the trunk's centre by up to 15 mm), Coulomb and viscous friction, rotor inertia and round feet on a floor, and a controller that
-follows joint targets. Three logs of 20 s are trained on together: swaying on four feet, a trot, and a crawl; another trot of 10 s
-is held out. Sensors: encoders, torques, contact flags, and the base's pose as motion capture measures it, with white noise of
-`--noise` times the sizes in `Quadruped`. tau_dyn sees the logs and the robot file.
+follows joint targets. Three logs of 20 s, or 120 s for a diagnosis, are trained on together: swaying on four feet, a trot, and a
+crawl; another trot of 10 s is held out. Sensors: encoders, torques, contact flags, and the base's pose as motion capture
+measures it, with white noise of `--noise` times the sizes in `Quadruped`. tau_dyn sees the logs and the robot file.
 Out: `legged.csv`, one row a robot and seed: errors of the total mass, of the trunk's centre (its first moment with the weights
 that hang on it, over its mass), of the friction of the legs' joints, also at 1 rad/s, the share of the base parameters within
-their 95 % intervals, and the held-out error. One run takes about a minute.
+their 95 % intervals, and the held-out error. One run takes about a minute, a diagnosis ten.
 
 `--what payload` puts a box of 5 % of the robot's mass on the trunk for a second set of logs, and compares it with what `payload`
 finds. `friction` adds Stribeck friction of half of the Coulomb friction to one joint, `imu` turns the logged orientation by 20
@@ -108,6 +108,7 @@ GO2 = Quadruped(
 )
 ROBOTS = {"solo12": SOLO12, "go2": GO2}
 WHAT = ("identify", "payload", "friction", "imu", "clean")
+SECONDS = dict.fromkeys(("friction", "imu", "clean"), 120.0)  # length of each log for a diagnosis; 20 s otherwise
 
 
 def find_file(robot: Quadruped) -> Path:
@@ -212,14 +213,13 @@ def plan(robot: Quadruped, model: Robot, t: np.ndarray, gait: str, rng: np.rando
     share, phase = size * rng.dirichlet(np.ones(3), 6).T, rng.uniform(0, 6, (3, 6))
     soft = np.clip(t / 1.0, 0, 1)[:, None]
     base = soft * (share * np.sin(w * t[:, None, None] + phase)).sum(axis=1)
-    steps = _step(t, gait, rng)
+    turn = Rotation.from_euler("ZYX", base[:, 3:]).as_matrix()
+    wanted = feet + _step(t, gait, rng) * [robot.lift * 0.8, robot.lift * 0.4, robot.lift]
+    local = (wanted - base[:, None, :3]) @ turn
     out = np.empty((len(t), len(legs)))
     guess = stance.copy()
     for n in range(len(t)):
-        turn = Rotation.from_euler("ZYX", base[n, 3:]).as_matrix()
-        wanted = feet + steps[n] * [robot.lift * 0.8, robot.lift * 0.4, robot.lift]
-        local = (wanted - base[n, :3]) @ turn
-        guess = out[n] = _reach(tree, data, frames, q, start, guess, local)
+        guess = out[n] = _reach(tree, data, frames, q, start, guess, local[n])
     return out
 
 
@@ -291,14 +291,16 @@ def simulate(
             k = model.driven.index(fault.joint)
             v = data.qvel[at_v[k]]
             data.ctrl[motors[k]] -= PEAK_SHARE * robot.coulomb * np.sign(v) * np.exp(-abs(v) / PEAK_SPEED)
-        mujoco.mj_forward(plant, data)
         if n % every == 0:
+            mujoco.mj_forward(plant, data)
             loads = _read_loads(plant, data, feet)
-            read = Rotation.from_quat(data.qpos[[4, 5, 6, 3]]) * Rotation.from_rotvec(np.negative(fault.turn))
-            pose = np.concatenate([data.qpos[:3], read.as_quat()])
-            rows.append(np.concatenate([[fine[n]], pose, data.qpos[at_q], tau, loads]))
+            rows.append(
+                np.concatenate([[fine[n]], data.qpos[:3], data.qpos[[4, 5, 6, 3]], data.qpos[at_q], tau, loads])
+            )
         mujoco.mj_step(plant, data)
-    return _measure(robot, model, np.array(rows), gait, rng, noise)
+    read = np.array(rows)
+    read[:, 4:8] = (Rotation.from_quat(read[:, 4:8]) * Rotation.from_rotvec(np.negative(fault.turn))).as_quat()
+    return _measure(robot, model, read, gait, rng, noise)
 
 
 def _read_loads(plant: mujoco.MjModel, data: mujoco.MjData, feet: list[int]) -> np.ndarray:
@@ -446,14 +448,16 @@ def main() -> None:
     parser.add_argument("--robots", nargs="+", default=list(ROBOTS), choices=list(ROBOTS))
     parser.add_argument("--what", nargs="+", default=["identify"], choices=list(WHAT))
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--noise", type=float, default=1.0)
-    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--seconds", type=float)
     parser.add_argument("--out", type=Path, default=Path())
     given = parser.parse_args()
     rows = []
     for name, what in product(given.robots, given.what):
-        for seed in range(given.seeds):
-            rows.append(run(name, seed, given.seconds, given.noise, what))
+        seconds = given.seconds or SECONDS.get(what, 20.0)
+        for seed in range(given.first, given.first + given.seeds):
+            rows.append(run(name, seed, seconds, given.noise, what))
             print({key: x if isinstance(x, str) else round(float(x), 3) for key, x in rows[-1].items()}, flush=True)
     pd.DataFrame(rows).to_csv(given.out / "legged.csv", index=False)
 

@@ -8,7 +8,9 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from tau_dyn.legged import compute_contact_jacobian, eliminate_contacts
+from tau_dyn.effects import CoulombAsymmetry, Stribeck
+from tau_dyn.identify import build_model, choose_preparation, prepare_segment
+from tau_dyn.legged import complete_base, compute_contact_jacobian, eliminate_contacts
 from tau_dyn.mechanism import build_mechanism
 from tau_dyn.robot import load_robot
 
@@ -78,6 +80,37 @@ def test_no_force_of_the_ground_is_left(walker, rng, motion):
     assert np.abs(ground).max() > 10
     assert found.free[0].tolist() == [True] * 6 + [False] * 12
     assert_allclose(found.free.sum(axis=1), 18 - 3 * touching.sum(axis=1))
+
+
+def test_columns_are_projected_as_forces_are(walker, rng, motion):
+    """`G' (Y x)` is `(G' Y) x`: a column may act on several joints, and on the base."""
+    q, _, _ = motion
+    found = eliminate_contacts(walker, q, rng.random((len(q), 4)) < 0.6)
+    Y, x = rng.standard_normal((len(q), walker.na, 7)), rng.standard_normal(7)
+    Y[:, 3:, 2] = 0.0
+    assert_allclose(found.project(Y) @ x, found.project(Y @ x), atol=1e-10)
+
+
+def test_a_friction_law_has_the_same_columns_joint_by_joint(walker, walk):
+    """The law of one joint enters the equations in which the joint's force is, as if all equations were computed."""
+    (log,) = complete_base(walker, [walk.record(walker, 6.0, 1)])
+    piece = prepare_segment(build_model(walker, "symmetric"), log, choose_preparation(walker, [log]))
+    laws = [cls((joint,), ("N m",)) for joint in ("fl_knee", "hr_swing") for cls in (Stribeck, CoulombAsymmetry)]
+    for law, columns in zip(laws, piece.columns_of(laws), strict=True):
+        wanted = piece.columns(law.columns(piece.motion))
+        assert (np.abs(wanted).max(axis=(0, 2)) > 0).sum() >= 6
+        assert_allclose(columns, wanted, atol=1e-9 * np.abs(wanted).max())
+
+
+def test_a_regression_leaves_out_what_its_equations_shut(walker, walk):
+    """Forces and columns of a leg count in the air alone, those of the base always: both sides have the same gate."""
+    (log,) = complete_base(walker, [walk.record(walker, 12.0, 1)])
+    model = build_model(walker, "symmetric")
+    piece = prepare_segment(model, log, choose_preparation(walker, [log]))
+    run, m = piece.run(model), piece.motion
+    rigid = build_mechanism(walker).regressor(m.q, m.v, m.a)
+    assert_allclose(run.W[:, :, : rigid.shape[2]], piece.columns(rigid), atol=1e-6 * np.abs(run.W).max())
+    assert (piece.gate[:, 6:] == 0).any() and run.usable[:, 6:].any()
 
 
 def test_a_leg_in_the_air_keeps_its_own_equations(walker, motion):

@@ -212,12 +212,16 @@ def build_force_channel(
     others = MIN_VALUES * len(regression.outputs)
     rank = max(1, compute_determined_rank(regression, parts))
     each = VALUES_PER_WALKING_COLUMN * len(model.robot.base_coordinates) if walks else VALUES_PER_COMBINATION
+    seconds, length = sum(p.log.duration for p in prepared), "a minute"
+    if walks:
+        trained = max(1, sum(int(mask.sum()) for mask in channel.masks(TRAIN)))
+        length = f"{10 * np.ceil(0.1 * seconds * each * rank / trained):g} s"  # usable data grow with time
     refuse_scarce(
         channel,
         (each * rank, others, others),
         "too little usable data is left",
-        f"the logs hold {sum(p.log.duration for p in prepared):.3g} s",
-        f"record {'two minutes' if walks else 'a minute'} or more of motion in both directions, over several speeds",
+        f"the logs hold {seconds:.3g} s",
+        f"record {length} or more of motion in both directions, over several speeds",
     )
     return channel
 

@@ -17,9 +17,10 @@ than that of fixed weights. Reference: Huber & Ronchetti 2009, 7 and 8; Maronna 
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any, cast
 
 import numpy as np
-from scipy import integrate, optimize, stats
+from scipy import integrate, linalg, optimize, stats
 
 from tau_dyn.exceptions import UnknownName
 from tau_dyn.parameters import Parameters
@@ -50,7 +51,10 @@ def solve_scaled(W: np.ndarray, y: np.ndarray, tolerance: float) -> np.ndarray:
         tolerance: Singular value of the unit columns, relative to the largest, below which a direction is left at zero.
     """
     unit, norm = scale_columns(W)
-    return np.linalg.lstsq(unit, y, rcond=tolerance)[0] / norm
+    try:
+        return np.linalg.lstsq(unit, y, rcond=tolerance)[0] / norm
+    except np.linalg.LinAlgError:  # LAPACK's divide and conquer may fail where its QR iterations converge
+        return cast(Any, linalg.lstsq(unit, y, cond=tolerance, lapack_driver="gelss"))[0] / norm
 
 
 BISQUARE = 4.685  # efficiency 95 % if the noise is Gaussian (Beaton & Tukey 1974)

@@ -28,7 +28,7 @@ from tau_dyn.effects import (
     get_measured_signals,
     name_effect_in_errors,
 )
-from tau_dyn.estimate import Preparation, Regression, RegressionRun
+from tau_dyn.estimate import ROUNDING, Preparation, Regression, RegressionRun
 from tau_dyn.exceptions import CannotAnswer, InputError
 from tau_dyn.identify.motor_electrics import RECORDED, SPEED
 from tau_dyn.identify.preparation import (
@@ -215,10 +215,17 @@ class PreparedSegment:
 
         Samples are last in memory, for fast filters.
         """
-        Y = self.without_contacts(Y)
+        return self.filter_columns(self.without_contacts(Y), gated=gated)
+
+    def filter_columns(self, Y: np.ndarray, *, gated: bool, equations: np.ndarray | None = None) -> np.ndarray:
+        """Return columns (N, na, p) without forces of the ground after filter and decimation (n, na, p); see `columns`.
+
+        Only some equations (na,) are filtered if they are given; others are zero.
+        """
         N, na, p = Y.shape
         rows = np.ascontiguousarray(Y.transpose(1, 2, 0))
-        k, column = np.nonzero((rows.max(axis=2, initial=0) != 0) | (rows.min(axis=2, initial=0) != 0))
+        is_felt = (rows.max(axis=2, initial=0) != 0) | (rows.min(axis=2, initial=0) != 0)
+        k, column = np.nonzero(is_felt if equations is None else is_felt & equations[:, None])
         out = np.zeros((na, p, -(-N // self.factor)))
         if k.size:
             touching = rows[k, column]
@@ -231,33 +238,42 @@ class PreparedSegment:
 
     def columns_of(self, effects: Sequence[Effect]) -> list[np.ndarray]:
         """Return the gated columns (n, na, p) of several effects, filtered together; zeros are not filtered."""
-        if self.contacts is not None:
-            return [self.columns(effect.columns(self.motion)) for effect in effects]
         gate, N = np.ascontiguousarray(self.gate.T), len(self.gate)
         out, rows, places = [], [], []
 
         def finish() -> None:
             if rows:
                 for (made, k, column), x in zip(places, self.passed(np.stack(rows).T).T, strict=True):
-                    made[k, column] = x / self.weight[:, k]
+                    made[k, column] += x / self.weight[:, k]
             rows.clear()
             places.clear()
 
         for effect in effects:
+            if self.contacts is not None and not _acts_by_joint(effect):
+                out.append(self.columns(effect.columns(self.motion)).transpose(1, 2, 0))
+                continue
             size, touching = _list_touching(effect, self.motion)
             out.append(np.zeros((gate.shape[0], size, -(-N // self.factor))))
-            for k, column, x in touching:
-                rows.append(gate[k] * x)
-                places.append((out[-1], k, column))
+            for joint, column, x in touching:
+                for k, share in self._list_equations(joint):
+                    rows.append(gate[k] * share * x)
+                    places.append((out[-1], k, column))
                 if len(rows) * N > _MAX_VALUES:
                     finish()
         finish()
         return [made.transpose(2, 0, 1) for made in out]
 
+    def _list_equations(self, joint: int) -> Iterator[tuple[int, np.ndarray | float]]:
+        """Return the equations in which a joint's force is, with its factor (N,): its own alone without contacts."""
+        if self.contacts is None:
+            yield joint, 1.0
+            return
+        shares = self.contacts.G[:, joint].T
+        yield from ((k, share) for k, share in enumerate(shares) if share.any())
+
     def run(self, model: Model) -> RegressionRun:
         """Return the regression of a model on this stretch."""
-        Y = compute_columns(model, self.motion)
-        force = self.without_contacts(self.force)
+        Y, force = self.without_contacts(compute_columns(model, self.motion)), self.without_contacts(self.force)
         y = self.passed(self.gate * force) / self.weight
         signals = {key: decimate(getattr(self.motion, key), self.factor) for key in ("q", "v", "a")}
         joints = model.robot.actuated
@@ -265,13 +281,19 @@ class PreparedSegment:
             if self.log.has(name, joints):  # through both filters, as forces are
                 smooth = lowpass(self.log.joint(name, joints), self.preparation.position_cutoff_hz, self.rate_hz)
                 signals |= {name: self.passed(smooth), SPEED: self.passed(self.motion.v)}
+        W_all = self.filter_columns(Y, gated=False)
+        if self.contacts is None:
+            W = self.filter_columns(Y, gated=True)
+        else:  # the base's equations are mostly never shut
+            shut = np.abs(self.gate - 1).max(axis=0) > ROUNDING
+            W = np.where(shut[:, None], self.filter_columns(Y, gated=True, equations=shut), W_all)
         return RegressionRun(
             self.log.name,
             decimate(self.log.t, self.factor),
-            self.columns(Y),
+            W,
             y,
             self.usable,
-            self.columns(Y, gated=False),
+            W_all,
             self.passed(force),
             signals,
         )

@@ -54,10 +54,21 @@ class ContactElimination(NamedTuple):
     free: np.ndarray
 
     def project(self, rows: np.ndarray) -> np.ndarray:
-        """Return `G'` times forces (N, n) or columns (N, n, p)."""
+        """Return `G'` times forces (N, n) or columns (N, n, p).
+
+        Samples of columns are last in memory, and products with zero are skipped: most columns act on few coordinates.
+        """
         if rows.ndim == 2:
             return np.einsum("nij,ni->nj", self.G, rows)
-        return self.G.swapaxes(1, 2) @ rows
+        columns = np.ascontiguousarray(rows.transpose(1, 2, 0))
+        found = np.zeros_like(columns)
+        share = np.ascontiguousarray(self.G.transpose(1, 2, 0))
+        for own, weights in zip(columns, share, strict=True):
+            kept = np.flatnonzero(own.any(axis=1))
+            used = own[kept]
+            for j in np.flatnonzero(weights.any(axis=1)):
+                found[j, kept] += weights[j] * used
+        return found.transpose(2, 0, 1)
 
 
 def find_contacts(robot: Robot, log: Log) -> np.ndarray:
@@ -134,7 +145,7 @@ def eliminate_contacts(robot: Robot, q: np.ndarray, touching: np.ndarray) -> Con
     sizes = [6 if contact.kind == FLAT else 3 for contact in robot.contacts]
     of = np.repeat(np.arange(len(sizes)), sizes)
     n = robot.na
-    G, free = np.zeros((len(q), n, n)), np.zeros((len(q), n), bool)
+    G, free = np.zeros((n, n, len(q))).transpose(2, 0, 1), np.zeros((len(q), n), bool)  # samples last in memory
     sets, which = np.unique(touching, axis=0, return_inverse=True)
     for number, contacts in enumerate(sets):
         samples = np.flatnonzero(which.ravel() == number)
