@@ -19,14 +19,10 @@ from tau_dyn.codegen.c_writer import (
     format_source,
     list_numbers,
     require_c_name,
-    yield_function,
-    yield_graph_lines,
-    yield_guard_lines,
-    yield_output_lines,
 )
 from tau_dyn.codegen.loops import Loops
 from tau_dyn.codegen.program import Program, yield_description
-from tau_dyn.codegen.tracing import TracedFunction
+from tau_dyn.equations import TracedFunction, yield_function, yield_graph_lines, yield_guard_lines, yield_output_lines
 
 _TAKEN = frozenset(
     {

@@ -13,9 +13,8 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from tau_dyn.codegen.graph import Graph, Node
 from tau_dyn.codegen.loops import Loops, Tree, trace_frames
-from tau_dyn.codegen.tracing import ExpressionArray, as_expression_array, build_inputs
+from tau_dyn.equations import ExpressionArray, Graph, Node, as_expression_array, build_inputs
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import (
     GantryTauMechanism,

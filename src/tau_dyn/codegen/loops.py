@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import qr
 
-from tau_dyn.codegen.tracing import TracedFunction, as_expression_array, trace_function
+from tau_dyn.equations import TracedFunction, as_expression_array, trace_function
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import (
     Frames,

@@ -23,20 +23,21 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.codegen.c_writer import STEP, fill_template, yield_function
+from tau_dyn.codegen.c_writer import STEP, fill_template
 from tau_dyn.codegen.feedforward_c import yield_closing_parts
 from tau_dyn.codegen.forms import TracingInputs, find_loops
-from tau_dyn.codegen.graph import Node
 from tau_dyn.codegen.loops import Loops
-from tau_dyn.codegen.tracing import (
+from tau_dyn.effects import STATE, Bristle, DisplacementEffect, Effect, Motion, acts_on_recording, follow_reversal
+from tau_dyn.equations import (
     ExpressionArray,
+    Node,
     TracedFunction,
     as_expression_array,
     build_inputs,
     flatten_outputs,
     trace_function,
+    yield_function,
 )
-from tau_dyn.effects import STATE, Bristle, DisplacementEffect, Effect, Motion, acts_on_recording, follow_reversal
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import BY_STATE, COMPUTED, Model
 
