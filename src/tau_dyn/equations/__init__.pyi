@@ -19,6 +19,7 @@ from .graph import (
     Node as Node,
     evaluate_graph as evaluate_graph,
 )
+from .tape import Tape as Tape, find_tape as find_tape
 from .tracing import (
     ExpressionArray as ExpressionArray,
     TracedFunction as TracedFunction,

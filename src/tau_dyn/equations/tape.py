@@ -1,0 +1,212 @@
+r"""A graph as a list of operations on rows of samples, done by NumPy or by one small C library for all graphs.
+
+    row[target] = operation(row[first], row[second])
+
+Rows are inputs, constants, outputs and scratch; a scratch row is used again once nothing reads its value any more. The C library
+interprets the list on a few dozen samples at once, which stay in the processor's first cache. So nothing is compiled for a robot,
+and a list of any length is ready at once. Reference: Griewank & Walther 2008, ch. 4 (evaluation procedures, tapes).
+
+Both do the operations of the array code in its order, without contraction (`-ffp-contract=off`), and sines and cosines come from
+NumPy. So tapes and array code give equal numbers: which of them computes a sample does not change a result. `ctypes` releases the
+interpreter's lock during a call of the library, so threads run at the same time.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any
+
+import numpy as np
+
+from tau_dyn.equations.compiler import LibraryCache, find_compiler, is_compiling_allowed
+from tau_dyn.equations.graph import NUMPY, Graph, Node
+
+TRACE_FROM, BUILD_FROM = 10_000, 100_000
+"""Samples of one computation in this process from which it is traced, and from which the library is built if it is missing.
+
+Tracing takes as long as 4,000 to 8,000 samples save on robots of 3 to 30 joints, building 0.2 s, which 50,000 samples of six
+axes save (`experiments/benchmarks/regression.py`)."""
+_BLOCK = 1024  # samples that NumPy takes at once
+_MAX_TAPES = 16  # computations that are remembered
+_LIBRARIES = LibraryCache()
+
+_OPERATIONS = ("add", "sub", "mul", "div", "neg", "copy")
+_BEFORE = ("sin", "cos")  # functions of an input alone, which NumPy evaluates
+_SOURCE = r"""
+#include <stdint.h>
+enum { LANES = 2, SAMPLES = 64 };
+typedef double pack __attribute__((vector_size(16), aligned(8), may_alias));
+#define ALL(T, m, value) \
+    { T *t = (T *)at[op[1]]; const T *x = (const T *)at[op[2]], *y = (const T *)at[op[3]]; \
+      (void)y; for (int64_t i = 0; i < (m); ++i) t[i] = value; break; }
+#define DO(T, m) switch (op[0]) { \
+    case 0: ALL(T, m, x[i] + y[i]) case 1: ALL(T, m, x[i] - y[i]) case 2: ALL(T, m, x[i] * y[i]) \
+    case 3: ALL(T, m, x[i] / y[i]) case 4: ALL(T, m, -x[i]) default: ALL(T, m, x[i]) }
+
+/* The first n_in rows are at `in`, n samples each; the next n_kept at `kept`, SAMPLES each; the others at places[..] of `out`. */
+__attribute__((visibility("default")))
+void tape(int64_t n, int64_t n_ops, const int32_t *ops, double **at, int64_t n_in, double *in, int64_t n_kept, double *kept,
+          int64_t n_out, const int64_t *places, double *out, int64_t stride) {
+    for (int64_t k = 0; k < n_kept; ++k) at[n_in + k] = kept + k * SAMPLES;
+    for (int64_t s = 0; s < n; s += SAMPLES) {
+        for (int64_t k = 0; k < n_in; ++k) at[k] = in + k * n + s;
+        for (int64_t k = 0; k < n_out; ++k) at[n_in + n_kept + k] = out + places[k] * stride + s;
+        const int64_t left = n - s;
+        for (const int32_t *op = ops; op < ops + 4 * n_ops; op += 4)
+            if (left >= SAMPLES) DO(pack, SAMPLES / LANES) else DO(double, left)
+    }
+}
+"""
+_SAMPLES = 64  # `SAMPLES` of the library
+
+
+class Tape:
+    """One graph as a list of operations."""
+
+    def __init__(self, graph: Graph, inputs: Sequence[Node], outputs: Sequence[Any]) -> None:
+        """Write the list.
+
+        Args:
+            graph: The graph.
+            inputs: Its inputs, in the order of the rows.
+            outputs: Its outputs in the order of the rows: nodes, or numbers; rows of zeros are left alone.
+
+        Raises:
+            TypeError: The graph has a condition, or an operation that tapes do not have.
+        """
+        if graph.guards:
+            raise TypeError("a condition on the inputs")
+        shown = {
+            k: x if isinstance(x, Node) else graph.constant(x)
+            for k, x in enumerate(outputs)
+            if isinstance(x, Node) or x
+        }
+        needed = graph.needed(list(shown.values()))
+        rows = {node.index: k for k, node in enumerate(inputs)}
+        before = [node for node in needed if node.op in _BEFORE and node.args[0] in rows]
+        self.before = [(node.op, rows[node.args[0]]) for node in before]
+        rows |= {node.index: len(inputs) + k for k, node in enumerate(before)}
+        self._n_in = len(rows)
+        constants = [node for node in needed if node.op == "const"]
+        self._constants = np.array([node.args[0] for node in constants])
+        rows |= {node.index: self._n_in + k for k, node in enumerate(constants)}
+        work = [node for node in needed if node.index not in rows]
+        self._list(work, rows, shown)
+
+    def _list(self, work: Sequence[Node], rows: dict[int, int], shown: dict[int, Node]) -> None:
+        """Give every value a row: its output's, or one of scratch until its last reader."""
+        self.places = np.array(list(shown), np.int64)
+        first: dict[int, int] = {}
+        for k, node in enumerate(shown.values()):
+            first.setdefault(
+                node.index, -1 - k
+            )  # outputs are counted from -1 until the number of scratch rows is known
+        last = {k: place for place, node in enumerate(work) for k in node.before}
+        at, free, n_scratch, listed = dict(rows), [], 0, []
+        for place, node in enumerate(work):
+            if node.op not in _OPERATIONS:
+                raise TypeError(f"the operation {node.op} on a tape")
+            sources = [at[k] for k in node.before]
+            free += [at[k] for k in set(node.before) if last[k] == place and at[k] >= len(rows)]
+            if node.index in first:
+                at[node.index] = first[node.index]
+            else:
+                if not free:
+                    free.append(len(rows) + n_scratch)
+                    n_scratch += 1
+                at[node.index] = free.pop()
+            listed.append((_OPERATIONS.index(node.op), at[node.index], sources[0], sources[-1]))
+        for k, node in enumerate(shown.values()):
+            if at[node.index] != -1 - k:
+                listed.append((_OPERATIONS.index("copy"), -1 - k, at[node.index], at[node.index]))
+        self._n_scratch, end = n_scratch, len(rows) + n_scratch
+        table = np.array(listed, np.int32).reshape(-1, 4)
+        table[:, 1:] = np.where(table[:, 1:] < 0, end - 1 - table[:, 1:], table[:, 1:])
+        self._operations = np.ascontiguousarray(table)
+
+    def run(self, rows: np.ndarray, out: np.ndarray, library: ctypes.CDLL | None = None) -> None:
+        """Write the outputs into `out` (..., N), of inputs `rows` (m, N).
+
+        The samples of a row of `out` follow each other in memory, and its rows are equally far apart.
+        """
+        m, n = rows.shape
+        given = np.empty((self._n_in, n))
+        given[:m] = rows
+        for k, (name, of) in enumerate(self.before, start=m):
+            NUMPY[name](rows[of], out=given[k])
+        if library is not None:
+            self._run_library(library, given, out)
+            return
+        for start in range(0, n, _BLOCK):
+            part = slice(start, start + _BLOCK)
+            self._run_numpy(given[:, part], out.reshape(-1, n)[:, part])
+
+    def _run_numpy(self, given: np.ndarray, out: np.ndarray) -> None:
+        n = given.shape[1]
+        at = [*given, *self._constants, *np.empty((self._n_scratch, n)), *(out[k] for k in self.places)]
+        functions = [np.positive if name == "copy" else NUMPY[name] for name in _OPERATIONS]
+        binary = [function.nin == 2 for function in functions]
+        for op, target, x, y in self._operations.tolist():
+            if binary[op]:
+                functions[op](at[x], at[y], at[target])
+            else:
+                functions[op](at[x], at[target])
+
+    def _run_library(self, library: ctypes.CDLL, given: np.ndarray, out: np.ndarray) -> None:
+        kept = np.empty((len(self._constants) + self._n_scratch, _SAMPLES))
+        kept[: len(self._constants)] = self._constants[:, None]
+        at = np.empty(len(given) + len(kept) + len(self.places), np.intp)
+
+        def point(x: np.ndarray) -> ctypes.c_void_p:
+            return ctypes.c_void_p(x.ctypes.data)
+
+        numbers = (given.shape[1], len(self._operations), len(given), len(kept), len(self.places))
+        n, n_ops, n_in, n_kept, n_out = (ctypes.c_int64(x) for x in numbers)
+        stride = ctypes.c_int64(out.strides[-2] // out.itemsize)
+        library.tape(
+            n, n_ops, point(self._operations), point(at), n_in, point(given), n_kept, point(kept), n_out,
+            point(self.places), point(out), stride,
+        )  # fmt: skip
+
+
+class _Use:
+    """How often a computation was asked for in this process, and its tape once that is worth it."""
+
+    def __init__(self) -> None:
+        self.samples, self.tape, self.is_possible, self.lock = 0, None, True, threading.Lock()
+
+
+_USES: dict[Hashable, _Use] = {}
+
+
+def find_tape(key: Hashable, samples: int, trace: Callable[[], Tape]) -> tuple[Tape, ctypes.CDLL | None] | None:
+    """Return a computation's tape, and the library if it is there or worth building; None before tracing is worth it.
+
+    Args:
+        key: Identifies the computation by its content.
+        samples: Number of samples that are to be computed now.
+        trace: Returns the tape; it may raise `TypeError` where the computation cannot be written.
+    """
+    if (use := _USES.get(key)) is None:
+        while len(_USES) >= _MAX_TAPES:
+            _USES.pop(next(iter(_USES)), None)
+        use = _USES.setdefault(key, _Use())
+    use.samples += samples
+    if use.samples < TRACE_FROM or not use.is_possible:
+        return None
+    with use.lock:
+        if use.tape is None and use.is_possible:
+            try:
+                use.tape = trace()  # type: ignore[assignment]
+            except TypeError:
+                use.is_possible = False
+    return None if use.tape is None else (use.tape, _get_library(use.samples >= BUILD_FROM))
+
+
+def _get_library(build: bool) -> ctypes.CDLL | None:
+    """Return the library, built if asked for; None without one."""
+    if not is_compiling_allowed() or find_compiler() is None:
+        return None
+    return (_LIBRARIES.build if build else _LIBRARIES.find)(_SOURCE)
