@@ -26,13 +26,15 @@ from tau_dyn.equations.graph import NUMPY, Graph, Node
 TRACE_FROM, BUILD_FROM = 10_000, 100_000
 """Samples of one computation in this process from which it is traced, and from which the library is built if it is missing.
 
-Tracing takes as long as 4,000 to 8,000 samples save on robots of 3 to 30 joints, building 0.2 s, which 50,000 samples of six
-axes save (`experiments/benchmarks/regression.py`)."""
+Tracing takes as long as 5,000 to 12,000 samples save on robots of 3 to 30 joints. Building takes 0.15 s, once for all robots,
+which 50,000 samples of six axes save."""
+MAX_IN_NUMPY = 10_000
+"""Operations up to which NumPy's tape is quicker than array code; it calls a function for each, and 6R have 2,000."""
 _BLOCK = 1024  # samples that NumPy takes at once
 _MAX_TAPES = 16  # computations that are remembered
 _LIBRARIES = LibraryCache()
 
-_OPERATIONS = ("add", "sub", "mul", "div", "neg", "copy")
+_OPERATIONS, _BINARY = ("add", "sub", "mul", "div", "neg", "copy"), 4  # the first four take two rows
 _BEFORE = ("sin", "cos")  # functions of an input alone, which NumPy evaluates
 _SOURCE = r"""
 #include <stdint.h>
@@ -45,14 +47,14 @@ typedef double pack __attribute__((vector_size(16), aligned(8), may_alias));
     case 0: ALL(T, m, x[i] + y[i]) case 1: ALL(T, m, x[i] - y[i]) case 2: ALL(T, m, x[i] * y[i]) \
     case 3: ALL(T, m, x[i] / y[i]) case 4: ALL(T, m, -x[i]) default: ALL(T, m, x[i]) }
 
-/* The first n_in rows are at `in`, n samples each; the next n_kept at `kept`, SAMPLES each; the others at places[..] of `out`. */
+/* First n_in rows at `in`, n samples each; then n_out rows at places[..] of `out`; then n_kept rows at `kept`, SAMPLES each. */
 __attribute__((visibility("default")))
 void tape(int64_t n, int64_t n_ops, const int32_t *ops, double **at, int64_t n_in, double *in, int64_t n_kept, double *kept,
           int64_t n_out, const int64_t *places, double *out, int64_t stride) {
-    for (int64_t k = 0; k < n_kept; ++k) at[n_in + k] = kept + k * SAMPLES;
+    for (int64_t k = 0; k < n_kept; ++k) at[n_in + n_out + k] = kept + k * SAMPLES;
     for (int64_t s = 0; s < n; s += SAMPLES) {
         for (int64_t k = 0; k < n_in; ++k) at[k] = in + k * n + s;
-        for (int64_t k = 0; k < n_out; ++k) at[n_in + n_kept + k] = out + places[k] * stride + s;
+        for (int64_t k = 0; k < n_out; ++k) at[n_in + k] = out + places[k] * stride + s;
         const int64_t left = n - s;
         for (const int32_t *op = ops; op < ops + 4 * n_ops; op += 4)
             if (left >= SAMPLES) DO(pack, SAMPLES / LANES) else DO(double, left)
@@ -63,7 +65,12 @@ _SAMPLES = 64  # `SAMPLES` of the library
 
 
 class Tape:
-    """One graph as a list of operations."""
+    """One graph as a list of operations.
+
+    Attributes:
+        before: The functions that NumPy evaluates, as rows after the inputs: name, and the row of its argument.
+        places: Row of `out` of each output (k,).
+    """
 
     def __init__(self, graph: Graph, inputs: Sequence[Node], outputs: Sequence[Any]) -> None:
         """Write the list.
@@ -78,53 +85,49 @@ class Tape:
         """
         if graph.guards:
             raise TypeError("a condition on the inputs")
-        shown = {
-            k: x if isinstance(x, Node) else graph.constant(x)
-            for k, x in enumerate(outputs)
-            if isinstance(x, Node) or x
-        }
-        needed = graph.needed(list(shown.values()))
+        self.places = np.array([k for k, x in enumerate(outputs) if isinstance(x, Node) or x], np.int64)
+        shown = [x if isinstance(x, Node) else graph.constant(x) for x in (outputs[k] for k in self.places)]
+        needed, self._n_in = _order(graph, shown), len(inputs)
         rows = {node.index: k for k, node in enumerate(inputs)}
-        before = [node for node in needed if node.op in _BEFORE and node.args[0] in rows]
-        self.before = [(node.op, rows[node.args[0]]) for node in before]
-        rows |= {node.index: len(inputs) + k for k, node in enumerate(before)}
-        self._n_in = len(rows)
+        self.before = []
+        for node in needed:
+            if node.op in _BEFORE and node.args[0] in rows:
+                self.before.append((node.op, rows[node.args[0]]))
+                rows[node.index] = self._n_in
+                self._n_in += 1
         constants = [node for node in needed if node.op == "const"]
         self._constants = np.array([node.args[0] for node in constants])
-        rows |= {node.index: self._n_in + k for k, node in enumerate(constants)}
-        work = [node for node in needed if node.index not in rows]
-        self._list(work, rows, shown)
+        rows |= {node.index: self._n_in + len(shown) + k for k, node in enumerate(constants)}
+        self._list([node for node in needed if node.index not in rows], rows, shown)
 
-    def _list(self, work: Sequence[Node], rows: dict[int, int], shown: dict[int, Node]) -> None:
-        """Give every value a row: its output's, or one of scratch until its last reader."""
-        self.places = np.array(list(shown), np.int64)
-        first: dict[int, int] = {}
-        for k, node in enumerate(shown.values()):
-            first.setdefault(
-                node.index, -1 - k
-            )  # outputs are counted from -1 until the number of scratch rows is known
+    def _list(self, work: Sequence[Node], rows: dict[int, int], shown: Sequence[Node]) -> None:
+        """Give every value a row, its output's or one of scratch until its last reader, and list the operations."""
+        first = {node.index: self._n_in + k for k, node in reversed(list(enumerate(shown)))}
         last = {k: place for place, node in enumerate(work) for k in node.before}
-        at, free, n_scratch, listed = dict(rows), [], 0, []
+        scratch = self._n_in + len(shown) + len(self._constants)
+        free, end, listed = [], scratch, []
         for place, node in enumerate(work):
             if node.op not in _OPERATIONS:
                 raise TypeError(f"the operation {node.op} on a tape")
-            sources = [at[k] for k in node.before]
-            free += [at[k] for k in set(node.before) if last[k] == place and at[k] >= len(rows)]
+            sources = [rows[k] for k in node.before]
+            free += [rows[k] for k in set(node.before) if last[k] == place and rows[k] >= scratch]
             if node.index in first:
-                at[node.index] = first[node.index]
+                rows[node.index] = first[node.index]
+            elif free:
+                rows[node.index] = free.pop()
             else:
-                if not free:
-                    free.append(len(rows) + n_scratch)
-                    n_scratch += 1
-                at[node.index] = free.pop()
-            listed.append((_OPERATIONS.index(node.op), at[node.index], sources[0], sources[-1]))
-        for k, node in enumerate(shown.values()):
-            if at[node.index] != -1 - k:
-                listed.append((_OPERATIONS.index("copy"), -1 - k, at[node.index], at[node.index]))
-        self._n_scratch, end = n_scratch, len(rows) + n_scratch
-        table = np.array(listed, np.int32).reshape(-1, 4)
-        table[:, 1:] = np.where(table[:, 1:] < 0, end - 1 - table[:, 1:], table[:, 1:])
-        self._operations = np.ascontiguousarray(table)
+                rows[node.index], end = end, end + 1
+            listed.append((_OPERATIONS.index(node.op), rows[node.index], sources[0], sources[-1]))
+        for row, node in enumerate(shown, start=self._n_in):
+            if rows[node.index] != row:
+                listed.append((_OPERATIONS.index("copy"), row, rows[node.index], rows[node.index]))
+        self._n_scratch = end - scratch
+        self._operations = np.array(listed, np.int32).reshape(-1, 4)
+
+    @property
+    def n_operations(self) -> int:
+        """Number of operations a sample."""
+        return len(self._operations)
 
     def run(self, rows: np.ndarray, out: np.ndarray, library: ctypes.CDLL | None = None) -> None:
         """Write the outputs into `out` (..., N), of inputs `rows` (m, N).
@@ -145,11 +148,10 @@ class Tape:
 
     def _run_numpy(self, given: np.ndarray, out: np.ndarray) -> None:
         n = given.shape[1]
-        at = [*given, *self._constants, *np.empty((self._n_scratch, n)), *(out[k] for k in self.places)]
-        functions = [np.positive if name == "copy" else NUMPY[name] for name in _OPERATIONS]
-        binary = [function.nin == 2 for function in functions]
+        at = [*given, *(out[k] for k in self.places), *self._constants, *np.empty((self._n_scratch, n))]
+        functions: list[Callable[..., Any]] = [np.positive if name == "copy" else NUMPY[name] for name in _OPERATIONS]
         for op, target, x, y in self._operations.tolist():
-            if binary[op]:
+            if op < _BINARY:
                 functions[op](at[x], at[y], at[target])
             else:
                 functions[op](at[x], at[target])
@@ -171,11 +173,30 @@ class Tape:
         )  # fmt: skip
 
 
+def _order(graph: Graph, outputs: Sequence[Node]) -> list[Node]:
+    """Return the nodes that outputs need, each as late as its first reader allows, so that few values wait for theirs."""
+    found: list[Node] = []
+    state: dict[int, bool] = {}  # False: its arguments are in the list's making; True: it is in the list
+    open_ = sorted({x.index for x in outputs}, reverse=True)
+    while open_:
+        index = open_[-1]
+        if index in state:
+            open_.pop()
+            if not state[index]:
+                state[index] = True
+                found.append(graph.nodes[index])
+        else:
+            state[index] = False
+            open_ += [k for k in graph.nodes[index].before if k not in state]
+    return found
+
+
 class _Use:
     """How often a computation was asked for in this process, and its tape once that is worth it."""
 
     def __init__(self) -> None:
-        self.samples, self.tape, self.is_possible, self.lock = 0, None, True, threading.Lock()
+        self.samples, self.is_possible, self.lock = 0, True, threading.Lock()
+        self.tape: Tape | None = None
 
 
 _USES: dict[Hashable, _Use] = {}
@@ -199,10 +220,13 @@ def find_tape(key: Hashable, samples: int, trace: Callable[[], Tape]) -> tuple[T
     with use.lock:
         if use.tape is None and use.is_possible:
             try:
-                use.tape = trace()  # type: ignore[assignment]
+                use.tape = trace()
             except TypeError:
                 use.is_possible = False
-    return None if use.tape is None else (use.tape, _get_library(use.samples >= BUILD_FROM))
+    if use.tape is None:
+        return None
+    library = _get_library(use.samples >= BUILD_FROM)
+    return None if library is None and use.tape.n_operations > MAX_IN_NUMPY else (use.tape, library)
 
 
 def _get_library(build: bool) -> ctypes.CDLL | None:

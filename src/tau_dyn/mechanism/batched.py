@@ -293,7 +293,7 @@ class BatchedTree:
         at = compute_frames(self.joints, x[:, None])
         closed = ClosedLoops(x[:, None], at, Dense(np.zeros((1, 0, 0))), G[:, :, None])
         self._fill(Y, closed, speeds[:, None], changes[:, None])
-        return Tape(graph, np.concatenate([x, speeds, changes, passive]), np.ravel(Y))
+        return Tape(graph, [*x, *speeds, *changes, *passive], list(np.ravel(Y)))
 
     def _fill(self, Y: np.ndarray, closed: ClosedLoops, speeds: np.ndarray, changes: np.ndarray) -> None:
         """Add the columns at closed configurations with all joints' velocities and accelerations (nv, N), except armatures'."""
