@@ -14,9 +14,9 @@ has the same through Pinocchio, one sample at a time, and the tests compare the 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -158,18 +158,33 @@ class WeightArms(NamedTuple):
 class BatchedTree:
     """Dynamics of one robot for arrays of samples; see `Mechanism` for the return value of each method."""
 
-    def __init__(self, robot: Robot, solver: LoopSolver, joints: list[Joint]) -> None:
-        """Prepare for a robot with its parameters' values."""
+    def __init__(
+        self,
+        robot: Robot,
+        solver: LoopSolver,
+        joints: list[Joint],
+        value: Callable[[str], Any] | None = None,
+        loops: LoopArrays | None = None,
+    ) -> None:
+        """Prepare for a robot.
+
+        Args:
+            robot: The robot.
+            solver: Closes its loops one sample after the other.
+            joints: Its tree.
+            value: Gives a parameter by its name, a number or an expression; by default the robot's number.
+            loops: Closes its loops; by default with numbers.
+        """
         self.robot, self.solver, self.joints = robot, solver, joints
-        self.loops = LoopArrays(solver, joints, get_cells(robot))
+        self.loops = LoopArrays(solver, joints, get_cells(robot)) if loops is None else loops
         self.gravity = np.asarray(solver.model.gravity.linear, float)
         first = np.cumsum([0, *(len(link.own) for link in robot.links)])
         self._links = [(link, link.map, int(k)) for link, k in zip(robot.links, first, strict=False)]
         self._armature = int(first[-1])
         self._passive = solver.passive_v if robot.loops else np.zeros(0, int)
-        value = dict(zip(robot.parameters.names, robot.parameters.values, strict=True)).__getitem__
+        value = value or dict(zip(robot.parameters.names, robot.parameters.values, strict=True)).__getitem__
         self.pi = list_inertial_numbers(robot, value)
-        self.drive = robot.parameters.values[self._armature : self._armature + robot.na]
+        self.drive = np.array([value(f"{joint}.armature") for joint in robot.actuated])
         self.weights = list_weights(robot, value)
 
     def regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
@@ -246,7 +261,7 @@ class BatchedTree:
 
     def _tool(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         frame = self.solver.model.frames[require_tool_frame(self.robot)]
-        place, J = np.empty((3, len(q))), np.zeros((3, self.robot.na, len(q)))
+        place, J = (np.zeros_like(q, shape=(*shape, len(q)), order="C") for shape in ((3,), (3, self.robot.na)))
         for part in iterate_blocks(len(q)):
             closed = self.loops.close(q[part])
             partial = self._partials(closed)[frame.parentJoint]
