@@ -83,9 +83,8 @@ def test_tracing_and_building_wait_until_the_samples_justify_them(monkeypatch) -
     """A short computation is not traced; a library is looked for from the first trace on, and built only for many samples."""
     asked = []
     monkeypatch.setattr(tape, "_get_library", asked.append)
-    few = tape.TRACE_FROM // 2
-    assert find_tape("waits", few, traced) is None and not asked
-    found = find_tape("waits", few, traced)
+    assert find_tape("waits", tape.TRACE_FROM - 1, lambda: pytest.fail("it is traced early")) is None and not asked
+    found = find_tape("waits", tape.TRACE_FROM, traced)
     assert found is not None and found[1] is None and asked == [False]
     again = find_tape("waits", tape.BUILD_FROM, lambda: pytest.fail("it is traced twice"))
     assert again is not None and again[0] is found[0] and asked == [False, True]

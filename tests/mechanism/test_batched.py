@@ -58,13 +58,13 @@ def test_a_tape_gives_the_columns_of_the_array_code(robots, motion, rng, monkeyp
     arrays = many.regressor(q, v, a)
     monkeypatch.setattr(tape, "TRACE_FROM", 0)
     monkeypatch.setattr(tape, "BUILD_FROM", 0)
-    monkeypatch.setattr(tape, "_USES", {})
+    monkeypatch.setattr(tape, "_TAPES", {})
     monkeypatch.setenv("TAU_DYN_COMPILE", compiles)
     assert_array_equal(many.regressor(q, v, a), arrays)
-    assert [use.tape is not None for use in tape._USES.values()] == [True]
+    assert [found is not None for found in tape._TAPES.values()] == [True]
     other = many.robot.with_parameters(many.robot.parameters.with_values({many.robot.parameters.names[0]: 1.25}))
     assert_array_equal(TreeMechanism(other).regressor(q, v, a), arrays)
-    assert len(tape._USES) == 1
+    assert len(tape._TAPES) == 1
 
 
 def test_robots_that_differ_have_different_tapes(robots, motion, rng, monkeypatch) -> None:

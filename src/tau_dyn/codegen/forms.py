@@ -120,14 +120,6 @@ class TreeForm(Mechanism):
         axes = compute_perpendicular_axes(self.tree.gravity)
         return _rest_forces([self._with(gravity=np.cross(axis, self.tree.gravity)) for axis in axes], q)
 
-    def guide_load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Return the load of each guide or reducer (1, na); see `Mechanism.guide_load`."""
-        across, felt = self.tree.guide_force(q, v, a), self.reducer_torque(q, v, a)
-        load = np.sqrt(np.sum(across * across, axis=2))
-        hinges = [k for k, kind in enumerate(self.robot.joint_kinds) if kind != "prismatic"]
-        load[:, hinges] = np.abs(felt)[:, hinges]
-        return load
-
     def reducer_torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the force that each drive's reducer transmits (1, na), loops included; see `Mechanism.reducer_torque`."""
         return self._with(drive=as_expression_array(np.zeros(self.robot.na))).inverse_dynamics(q, v, a)

@@ -24,7 +24,7 @@ from tau_dyn.equations.compiler import LibraryCache, find_compiler, is_compiling
 from tau_dyn.equations.graph import NUMPY, Graph, Node
 
 TRACE_FROM, BUILD_FROM = 10_000, 100_000
-"""Samples of one computation in this process from which it is traced, and from which the library is built if it is missing.
+"""Samples of one mechanism from which its columns are traced, and from which the library is built if it is missing.
 
 Tracing takes as long as 5,000 to 12,000 samples save on robots of 3 to 30 joints. Building takes 0.15 s, once for all robots,
 which 50,000 samples of six axes save."""
@@ -191,42 +191,33 @@ def _order(graph: Graph, outputs: Sequence[Node]) -> list[Node]:
     return found
 
 
-class _Use:
-    """How often a computation was asked for in this process, and its tape once that is worth it."""
-
-    def __init__(self) -> None:
-        self.samples, self.is_possible, self.lock = 0, True, threading.Lock()
-        self.tape: Tape | None = None
-
-
-_USES: dict[Hashable, _Use] = {}
+_TAPES: dict[Hashable, Tape | None] = {}
+_LOCK = threading.Lock()
 
 
 def find_tape(key: Hashable, samples: int, trace: Callable[[], Tape]) -> tuple[Tape, ctypes.CDLL | None] | None:
-    """Return a computation's tape, and the library if it is there or worth building; None before tracing is worth it.
+    """Return a computation's tape, and the library if it is there or worth building; None where array code is better.
 
     Args:
         key: Identifies the computation by its content.
-        samples: Number of samples that are to be computed now.
+        samples: Number of samples that the caller has computed, with those that are to be computed now.
         trace: Returns the tape; it may raise `TypeError` where the computation cannot be written.
     """
-    if (use := _USES.get(key)) is None:
-        while len(_USES) >= _MAX_TAPES:
-            _USES.pop(next(iter(_USES)), None)
-        use = _USES.setdefault(key, _Use())
-    use.samples += samples
-    if use.samples < TRACE_FROM or not use.is_possible:
-        return None
-    with use.lock:
-        if use.tape is None and use.is_possible:
+    with _LOCK:
+        if key not in _TAPES:
+            if samples < TRACE_FROM:
+                return None
+            while len(_TAPES) >= _MAX_TAPES:
+                _TAPES.pop(next(iter(_TAPES)))
             try:
-                use.tape = trace()
+                _TAPES[key] = trace()
             except TypeError:
-                use.is_possible = False
-    if use.tape is None:
+                _TAPES[key] = None
+        tape = _TAPES[key]
+    if tape is None:
         return None
-    library = _get_library(use.samples >= BUILD_FROM)
-    return None if library is None and use.tape.n_operations > MAX_IN_NUMPY else (use.tape, library)
+    library = _get_library(samples >= BUILD_FROM)
+    return None if library is None and tape.n_operations > MAX_IN_NUMPY else (tape, library)
 
 
 def _get_library(build: bool) -> ctypes.CDLL | None:

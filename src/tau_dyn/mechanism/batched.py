@@ -181,6 +181,7 @@ class BatchedTree:
         first = np.cumsum([0, *(len(link.own) for link in robot.links)])
         self._links = [(link, link.map, int(k)) for link, k in zip(robot.links, first, strict=False)]
         self._armature = int(first[-1])
+        self._n_computed = 0  # samples of the regressor
         self._passive = solver.passive_v if robot.loops else np.zeros(0, int)
         value = value or dict(zip(robot.parameters.names, robot.parameters.values, strict=True)).__getitem__
         self.pi = list_inertial_numbers(robot, value)
@@ -189,7 +190,9 @@ class BatchedTree:
 
     def regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return `Y` (N, na, p), laid out in memory as (na, p, N)."""
-        n, found = len(q), find_tape(self._content, len(q), self._trace_columns)
+        n = len(q)
+        self._n_computed += n
+        found = find_tape(self._content, self._n_computed, self._trace_columns)
         Y = np.zeros((self.robot.na, len(self.robot.parameters), _pad(n)))[:, :, :n]
         for part in iterate_blocks(n):
             if found is None:

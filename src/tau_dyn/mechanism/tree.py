@@ -141,15 +141,6 @@ class SamplewiseTree(Mechanism):
                 out[k, i] = self._across(i, pulls)
         return out
 
-    def guide_load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Return the load of each joint's guide (N, na); see `Mechanism.guide_load`."""
-        q, v, a = self._checked(q, v, a)
-        load = np.sqrt(np.sum(self.guide_force(q, v, a) ** 2, axis=2))
-        hinges = [k for k in range(self.robot.na) if k not in self._sliding]
-        if hinges:
-            load[:, hinges] = np.abs(self.reducer_torque(q, v, a))[:, hinges]
-        return load
-
     def passive_rates(self, q: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
         """Return how fast passive bearings turn (N, n, 3, na); see `Mechanism.passive_rates` and `loops.py`."""
         (q,) = self._checked(q)
