@@ -22,7 +22,6 @@ from tau_dyn.mechanism import (
     LoopSolver,
     Mechanism,
     Rods,
-    compute_perpendicular_axes,
     forward_kinematics,
     get_robot,
 )
@@ -43,12 +42,10 @@ class ClosedForm(GantryTauMechanism):
         M, h = self.mass_and_bias(q[0], v[0])
         return as_expression_array((M @ a[0] + h)[None])
 
-    def gravity_turn(self, q: np.ndarray) -> np.ndarray:
-        """Return how the forces at rest change per turn of gravity (1, na, 2); see `Mechanism.gravity_turn`."""
-        turned = [copy(self) for _ in range(2)]
-        for form, axis in zip(turned, compute_perpendicular_axes(self.gravity), strict=True):
-            form.gravity = np.cross(axis, self.gravity)
-        return _rest_forces(turned, q)
+    def _under(self, gravity: np.ndarray) -> ClosedForm:
+        other = copy(self)
+        other.gravity = gravity
+        return other
 
     def open_parameters(self, value: Any) -> None:
         """Put expressions in the place of the masses; `value` gives a parameter by its name."""
@@ -60,12 +57,6 @@ class ClosedForm(GantryTauMechanism):
         weight = f"{robot.plate}.gravity_mass"
         self.m_gravity = as_expression_array(value(weight)) if weight in robot.parameters else 0.0
         self._armature = lambda: armature  # type: ignore[method-assign]
-
-
-def _rest_forces(forms: list[Any], q: np.ndarray) -> Any:
-    """Return the forces at rest (1, na, n) of several forms."""
-    rest = as_expression_array(np.zeros(np.shape(q)))
-    return as_expression_array(np.stack([np.asarray(form.inverse_dynamics(q, rest, rest)) for form in forms], axis=2))
 
 
 def _refuse(what: str) -> Any:
@@ -108,17 +99,13 @@ class TreeForm(Mechanism):
         vars(other.tree).update(changes)
         return other
 
-    def mass_and_bias(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return `M` (na, na), its columns the forces of unit accelerations without weight, and `h` (na,)."""
-        n, light = self.robot.na, self._with(gravity=np.zeros(3), weights=[])
-        rest = as_expression_array(np.zeros((1, n)))
-        columns = [light.inverse_dynamics(q[None], rest, as_expression_array(unit[None]))[0] for unit in np.eye(n)]
-        return as_expression_array(np.array(columns, dtype=object).T), self.inverse_dynamics(q[None], v[None], rest)[0]
+    def _under(self, gravity: np.ndarray) -> TreeForm:
+        return self._with(gravity=gravity)
 
-    def gravity_turn(self, q: np.ndarray) -> np.ndarray:
-        """Return how the forces at rest change per turn of gravity (1, na, 2); see `Mechanism.gravity_turn`."""
-        axes = compute_perpendicular_axes(self.tree.gravity)
-        return _rest_forces([self._with(gravity=np.cross(axis, self.tree.gravity)) for axis in axes], q)
+    def mass_and_bias(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return `M` (na, na) and `h` (na,) of one sample."""
+        rest = as_expression_array(np.zeros((1, self.robot.na)))
+        return self.tree.inertia(q[None])[0], self.inverse_dynamics(q[None], v[None], rest)[0]
 
     def reducer_torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the force that each drive's reducer transmits (1, na), loops included; see `Mechanism.reducer_torque`."""

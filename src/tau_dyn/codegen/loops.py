@@ -9,6 +9,7 @@ left out; the remaining system is square. Reference: Khalil & Dombre 2002, ch. 7
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from typing import Any, NamedTuple
 
@@ -132,7 +133,7 @@ class Loops(LoopArrays):
         return trace_function({"q": q, "p": self.closed(q)[self.passive]}, closure)
 
 
-def spread_over_joints(out: list[Any], *parts: tuple[list[int], Any]) -> list[Any]:
+def spread_over_joints(out: list[Any], *parts: tuple[Sequence[int] | np.ndarray, Any]) -> list[Any]:
     """Put values at their places among the joints of a tree, and return all."""
     for places, values in parts:
         for k, x in zip(places, values, strict=True):

@@ -37,7 +37,7 @@ from tau_dyn.mechanism.loop_arrays import ClosedLoops, Dense, LoopArrays, get_ce
 from tau_dyn.mechanism.loops import LoopSolver
 from tau_dyn.mechanism.mechanism import require_tool_frame
 from tau_dyn.mechanism.newton_euler import TreeForces, Weight, compute_tree_forces, list_inertial_numbers, list_weights
-from tau_dyn.robot import Robot, compute_inertia_matrix
+from tau_dyn.robot import Robot
 
 
 class BodyMotion(NamedTuple):
@@ -84,16 +84,6 @@ def compute_body_columns(body: BodyMotion, wanted: list[int]) -> list[np.ndarray
     if S is not None and A is not None and set(wanted) & set(range(4, 10)):
         out[4:] = _inertia_columns(body, S, A)
     return out
-
-
-def compute_momentum(linear: np.ndarray, angular: Vector, pi: np.ndarray) -> tuple[np.ndarray, Vector]:
-    """Return linear and angular momentum (3, N) about a body's origin, at its velocities (3, N), all in its axes."""
-    if angular is None:
-        return pi[0] * linear, None
-    h = np.broadcast_to(pi[1:4, None], linear.shape)
-    return pi[0] * linear + compute_cross_product(angular, h), compute_cross_product(
-        h, linear
-    ) + compute_inertia_matrix(pi) @ angular  # type: ignore[operator]
 
 
 def _product(column: Sequence[np.ndarray], partial: np.ndarray) -> np.ndarray:
@@ -213,16 +203,12 @@ class BatchedTree:
 
     def inertia(self, q: np.ndarray) -> np.ndarray:
         """Return the mass matrix (N, na, na)."""
-        M = np.zeros((self.robot.na, self.robot.na, len(q)))
+        M = np.zeros_like(q, shape=(self.robot.na, self.robot.na, len(q)), order="C")
         for part in iterate_blocks(len(q)):
             closed = self.loops.close(q[part])
-            partials = self._partials(closed)
-            for link, _, _ in self._links:
-                partial = partials[link.joint_id]
-                body = self._body(closed, None, partial, link.joint_id)
-                for k, other in enumerate(partial.movers):
-                    one = body.linear[:, k], None if body.angular is None else body.angular[:, k]
-                    M[partial.movers, other, part] += body.power(*compute_momentum(*one, self.pi[link.joint_id]))
+            for k in range(self.robot.na):  # forces of a unit acceleration from rest, without weight
+                tree = compute_tree_forces(self.joints, (closed.x, None, closed.G[:, k]), self.pi, (), np.zeros(3))
+                M[:, k, part] = np.einsum("van,vn->an", closed.G, tree.tau)
         M[range(self.robot.na), range(self.robot.na)] += self.drive[:, None]
         return M.transpose(2, 0, 1)
 
@@ -329,17 +315,14 @@ class BatchedTree:
             partial = partials[weight.joint]
             Y[partial.movers, weight.column] += self._held(closed, partial, weight)
 
-    def _body(self, closed: ClosedLoops, moving: FrameMotion | None, partial: Partial, joint: int) -> BodyMotion:
-        """Return a body's partial velocities and motion in its own axes; without motion if no motion is given."""
+    def _body(self, closed: ClosedLoops, moving: FrameMotion, partial: Partial, joint: int) -> BodyMotion:
+        """Return a body's partial velocities and motion in its own axes."""
         rotation = closed.at.rotation[joint]
 
         def own(x: Vector) -> Vector:
             return None if x is None else rotate_into_frame(rotation[:, :, None] if x.ndim == 3 else rotation, x)
 
-        turning = (None, None, None)
-        if moving is not None:
-            turning = moving.acceleration[joint], moving.turning[joint], moving.spinning_up[joint]
-        a, w, dw = (own(x) for x in turning)
+        a, w, dw = (own(x[joint]) for x in (moving.acceleration, moving.turning, moving.spinning_up))
         linear = rotate_into_frame(rotation[:, :, None], partial.linear)
         return BodyMotion(partial.movers, linear, own(partial.angular), a, w, dw)
 

@@ -345,12 +345,13 @@ class Mechanism(ABC):
     def _turned(self) -> list[Self]:
         """The same mechanism under the two gravities `axis x g`."""
         gravity = np.asarray(self.robot.model.gravity.linear, float)
-        found = []
-        for axis in compute_perpendicular_axes(gravity):
-            model = pin.Model(self.robot.model)
-            model.gravity.linear = np.cross(axis, gravity)
-            found.append(type(self)(replace(self.robot, model=model)))
-        return found
+        return [self._under(np.cross(axis, gravity)) for axis in compute_perpendicular_axes(gravity)]
+
+    def _under(self, gravity: np.ndarray) -> Self:
+        """Return the same mechanism under another gravity (3,) [m/s^2]."""
+        model = pin.Model(self.robot.model)
+        model.gravity.linear = gravity
+        return type(self)(replace(self.robot, model=model))
 
     def guide_across(self) -> np.ndarray:
         """Return two unit directions across each prismatic joint's axis (na, 2, 3), in base axes; zeros for hinges.
