@@ -274,6 +274,7 @@ class BatchedTree:
     def _content(self) -> tuple[bytes, ...]:
         """Everything on which the columns' formulas depend."""
         numbers = [x for joint in self.joints for x in joint] + [self.robot.coupling[0], self._passive, self.gravity]
+        numbers += [len(self.joints), self.robot.na, len(self.robot.parameters)]
         numbers += [x for link, map_, first in self._links for x in (link.joint_id, map_, first)]
         numbers += [x for weight in self.weights for x in (weight.column, weight.joint, weight.local)]
         return tuple(np.asarray(x, float).tobytes() for x in numbers)
