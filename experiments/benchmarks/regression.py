@@ -4,7 +4,8 @@
 
 The step takes positions, speeds and accelerations in memory to each output's triangular factor of all columns and forces.
 `bare Pinocchio loop` is what a user writes without us: per sample close loops, `computeJointTorqueRegressor`, project, map. It
-sees the first samples only. `NumPy's limit` is one multiplication and one addition a column and sample, blocked alike.
+sees the first samples only. `NumPy's limit` is one multiplication and one addition a column and sample, blocked alike. Tapes
+(`equations/tape.py`) are in use from the first sample; `TAU_DYN_COMPILE=0` in the environment shows the step without a compiler.
 """
 
 import argparse
@@ -16,6 +17,7 @@ import numpy as np
 from bench import show, stop_watch
 
 from tau_dyn.effects import Motion, SymmetricFriction, TorqueOffset
+from tau_dyn.equations import tape
 from tau_dyn.estimate import SufficientStatistics
 from tau_dyn.identify.regression import compute_columns
 from tau_dyn.mechanism import TreeMechanism, build_mechanism
@@ -24,6 +26,7 @@ from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
 
 BLOCK = 2048
+tape.TRACE_FROM = tape.BUILD_FROM = 0
 FEW = 1000
 DATA = Path(os.environ.get("TAU_DYN_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from raising import raises_code
 
+from tau_dyn.equations import tape
 from tau_dyn.mechanism import TreeMechanism, build_mechanism
 from tau_dyn.mechanism.tree import MAX_ONE_BY_ONE, SamplewiseTree
 
@@ -43,6 +46,36 @@ def test_many_samples_at_once_equal_pinocchio_one_by_one(robots, motion, rng, ki
     if each.robot.tool_frame is not None:
         same(each.tool_position(q), many.tool_position(q))
         same(each.tool_jacobian(q), many.tool_jacobian(q))
+
+
+@pytest.mark.parametrize("compiles", ["0", "1"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_tape_gives_the_columns_of_the_array_code(robots, motion, rng, monkeypatch, kind: str, compiles: str) -> None:
+    """Columns from a tape are those of the array code to the last bit, with a compiler and without, for other values too."""
+    q, v, a = motion(pair(robots(kind), rng)[1].robot, 1100)
+    many = pair(robots(kind), rng)[1]
+    monkeypatch.setattr(tape, "TRACE_FROM", np.inf)
+    arrays = many.regressor(q, v, a)
+    monkeypatch.setattr(tape, "TRACE_FROM", 0)
+    monkeypatch.setattr(tape, "BUILD_FROM", 0)
+    monkeypatch.setattr(tape, "_TAPES", {})
+    monkeypatch.setenv("TAU_DYN_COMPILE", compiles)
+    assert_array_equal(many.regressor(q, v, a), arrays)
+    assert [found is not None for found in tape._TAPES.values()] == [True]
+    other = many.robot.with_parameters(many.robot.parameters.with_values({many.robot.parameters.names[0]: 1.25}))
+    assert_array_equal(TreeMechanism(other).regressor(q, v, a), arrays)
+    assert len(tape._TAPES) == 1
+
+
+def test_robots_that_differ_have_different_tapes(robots, motion, rng, monkeypatch) -> None:
+    """Another gravity is another computation: the columns follow it."""
+    monkeypatch.setattr(tape, "TRACE_FROM", 0)
+    robot = robots("two_link")
+    turned = robot.model.copy()
+    turned.gravity.linear = np.array([3.0, 0.0, -9.0])
+    q, v, a = motion(robot, N)
+    for each in (robot, replace(robot, model=turned)):
+        same(SamplewiseTree(each).regressor(q, v, a), TreeMechanism(each).regressor(q, v, a))
 
 
 @pytest.mark.parametrize("kind", ["l1 simplified uniform", "l1 complete uniform", "four_bar"])

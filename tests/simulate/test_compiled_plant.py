@@ -14,8 +14,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from raising import raises_code
 
-from tau_dyn.codegen import LibraryCache
 from tau_dyn.effects import EFFECTS, JointwiseEffect
+from tau_dyn.equations import LibraryCache
 from tau_dyn.model import Model
 from tau_dyn.robot import load_robot
 from tau_dyn.simulate import (
@@ -298,7 +298,7 @@ def test_a_folder_that_cannot_be_is_no_hindrance(tmp_path):
 
 def test_old_libraries_leave(tmp_path, monkeypatch):
     """The folder keeps the newest."""
-    monkeypatch.setattr("tau_dyn.codegen.compiler.MAX_LIBRARIES", 2)
+    monkeypatch.setattr("tau_dyn.equations.compiler.MAX_LIBRARIES", 2)
     for k in range(4):
         LibraryCache(tmp_path).build(SOURCE.replace("42", str(k)))
     assert len(list(tmp_path.glob("*.so"))) == 2

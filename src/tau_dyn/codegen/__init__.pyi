@@ -6,12 +6,6 @@ from .c_writer import (
     locate_header as locate_header,
 )
 from .command_filters import write_notch_source as write_notch_source, write_shaper_source as write_shaper_source
-from .compiler import (
-    LibraryCache as LibraryCache,
-    compile_library as compile_library,
-    find_compiler as find_compiler,
-    is_compiling_allowed as is_compiling_allowed,
-)
 from .feedforward_c import write_c_source as write_c_source
 from .filters import write_learning_source as write_learning_source, write_observer_source as write_observer_source
 from .fmu_writer import (
@@ -21,7 +15,6 @@ from .fmu_writer import (
     write_fmu_source as write_fmu_source,
 )
 from .forms import draw_random_states as draw_random_states, find_loops as find_loops
-from .graph import Graph as Graph, Node as Node, evaluate_graph as evaluate_graph
 from .kinematics import KinematicsProgram as KinematicsProgram, build_kinematics as build_kinematics
 from .kinematics_c import write_kinematics_source as write_kinematics_source
 from .lead_through_c import (
@@ -48,9 +41,3 @@ from .python_writer import (
     yield_assignments as yield_assignments,
 )
 from .ros2_control import write_ros2_control as write_ros2_control
-from .tracing import (
-    ExpressionArray as ExpressionArray,
-    TracedFunction as TracedFunction,
-    as_expression_array as as_expression_array,
-    build_inputs as build_inputs,
-)

@@ -1,4 +1,4 @@
-"""C99 from expression graphs: one line for each node, in the order of computation; and the parts common to all exported C files.
+"""The parts common to all exported C files.
 
 A file is fixed texts of the folder `c`, their `@BLANKS@` filled, and functions written from graphs. It has no allocation,
 no recursion and no header beyond `math.h`. Every exported function refuses inputs and outputs that are not finite or beyond
@@ -8,28 +8,18 @@ no recursion and no header beyond `math.h`. Every exported function refuses inpu
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from tau_dyn.codegen.graph import Graph, Node
 from tau_dyn.exceptions import InputError
 
 MAX_NUMBER = 1e9  # m, rad, N, N m and their rates, far above any machine; a larger number is a fault, not a state
 STEP, STEPS, ITERATIONS = 0.05, 100, 12
 """Largest step of a drive at once [m or rad], most steps a call, most Newton iterations a step, where loops are solved."""
 
-_FORM: Mapping[str, str] = {
-    "add": "{} + {}", "sub": "{} - {}", "mul": "{} * {}", "div": "{} / {}", "neg": "-{}", "abs": "fabs({})", "floor": "floor({})",
-    "sqrt": "sqrt({})", "exp": "exp({})", "log": "log({})", "sin": "sin({})", "cos": "cos({})", "tan": "tan({})",
-    "tanh": "tanh({})", "atan2": "atan2({}, {})", "hypot": "hypot({}, {})", "sign": "(double)(({0} > 0.0) - ({0} < 0.0))",
-    "min": "({0} < {1} ? {0} : {1})", "max": "({0} > {1} ? {0} : {1})", "select": "({} ? {} : {})", "lt": "{} < {}",
-    "le": "{} <= {}", "eq": "{} == {}", "and": "{} && {}", "or": "{} || {}", "not": "!{}",
-}  # fmt: skip
-_TRUTHS = frozenset({"lt", "le", "eq", "and", "or", "not"})
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
 _KEYWORDS = frozenset(
     "auto break case char const continue default do double else enum extern float for goto if inline int long register restrict "
@@ -50,80 +40,6 @@ def fill_template(name: str, flags: Collection[str] = (), **blanks: object) -> s
     text = re.sub(r"@IF (\w+)@\n(.*?)@END@\n", lambda m: m[2] if m[1] in flags else "", text, flags=re.DOTALL)
     text = re.sub(r"@(\w+)@", lambda m: str(blanks[m[1]]) if m[1] in blanks else m[0], text)
     return text.replace("@MOST@", repr(MAX_NUMBER)).rstrip("\n")
-
-
-def yield_graph_lines(graph: Graph, outputs: Sequence[Any]) -> Iterator[str]:
-    """Yield one line a node that outputs and guards need; an input `q3` is read as `q[3]`, node 7 is called `t7`."""
-
-    def show(k: int) -> str:
-        return _shown(graph.nodes[k])
-
-    for node in graph.needed(outputs):
-        k = node.index
-        if node.op in ("input", "const", "item"):
-            continue
-        if node.op == "factor":
-            n = round(len(node.args) ** 0.5)
-            yield f"    double t{k}[{len(node.args)}] = {{{', '.join(show(x) for x in node.args)}}};"
-            yield f"    int t{k}p[{n}];"
-            yield f"    if (!factor({n}, t{k}, t{k}p)) return 2;"
-        elif node.op in ("solve", "solve_t"):
-            n, A = len(node.args) - 1, node.args[0]
-            yield f"    double t{k}[{n}] = {{{', '.join(show(x) for x in node.args[1:])}}};"
-            yield f"    {node.op}({n}, t{A}, t{A}p, t{k});"
-        else:
-            kind = "int" if node.op in _TRUTHS else "double"
-            yield f"    const {kind} t{k} = {_FORM[node.op].format(*(show(x) for x in node.args))};"
-
-
-def yield_guard_lines(graph: Graph, status: int = 1) -> Iterator[str]:
-    """Yield one line for each condition evaluated during tracing: if its result differs, the function returns."""
-    for index, answer in graph.guards.items():
-        yield f"    if ({'!' if answer else ''}t{index}) return {status};"
-
-
-def yield_output_lines(array: str, outputs: Sequence[Any]) -> Iterator[str]:
-    """Yield the assignments of an output array."""
-    for k, x in enumerate(outputs):
-        yield f"    {array}[{k}] = {_shown(x) if isinstance(x, Node) else format_number(float(x))};"
-
-
-def yield_unused_lines(graph: Graph, outputs: Sequence[Any], arrays: Sequence[str]) -> Iterator[str]:
-    """Yield a line for each input array that does not matter, so that no compiler warns of it."""
-    used = {node.args[0].rstrip("0123456789") for node in graph.needed(outputs) if node.op == "input"}
-    yield from (f"    (void){x}; /* does not matter */" for x in arrays if x not in used)
-
-
-def yield_function(
-    head: str, graph: Graph, takes: Sequence[str], gives: Mapping[str, Sequence[Any]], *, checked: bool = True
-) -> Iterator[str]:
-    """Yield a function that assigns each output array; `checked`: it returns 0, or 1 where a guard does not hold."""
-    values = [x for outputs in gives.values() for x in outputs]
-    yield from (head, "{")
-    yield from yield_unused_lines(graph, values, takes)
-    yield from yield_graph_lines(graph, values)
-    if checked:
-        yield from yield_guard_lines(graph)
-    for name, outputs in gives.items():
-        yield from yield_output_lines(name, outputs)
-    yield from (*(["    return 0;"] if checked else []), "}")
-
-
-def _shown(node: Node) -> str:
-    if node.op == "const":
-        return format_number(node.args[0])
-    if node.op == "input":
-        name = node.args[0].rstrip("0123456789")
-        return f"{name}[{node.args[0][len(name) :]}]"
-    if node.op == "item":
-        return f"t{node.args[0]}[{node.args[1]}]"
-    return f"t{node.index}"
-
-
-def format_number(x: float) -> str:
-    """Return a number as C reads it back to the last digit."""
-    text = repr(float(x))
-    return f"({text})" if x < 0 else text
 
 
 def list_numbers(values: Iterable[float] | np.ndarray) -> str:

@@ -19,14 +19,10 @@ from tau_dyn.codegen.c_writer import (
     format_source,
     list_numbers,
     require_c_name,
-    yield_function,
-    yield_graph_lines,
-    yield_guard_lines,
-    yield_output_lines,
 )
 from tau_dyn.codegen.loops import Loops
 from tau_dyn.codegen.program import Program, yield_description
-from tau_dyn.codegen.tracing import TracedFunction
+from tau_dyn.equations import TracedFunction, yield_function, yield_graph_lines, yield_guard_lines, yield_output_lines
 
 _TAKEN = frozenset(
     {
@@ -114,7 +110,8 @@ def _yield_parts(program: Program, name: str, effort: np.ndarray) -> Iterator[st
     yield f"enum {{ NA = {robot.na} }};"
     yield fill_template("checks")
     if program.loops is not None and program.closure is not None:
-        yield from yield_closing_parts(program.loops, program.closure, name)
+        transposed = program.graph.uses("solve_t", program.outputs)
+        yield from yield_closing_parts(program.loops, program.closure, name, transposed=transposed)
     yield f"static const double limit[NA] = {{{list_numbers(np.minimum(effort, MAX_NUMBER))}}};"
     yield "\n".join(_yield_body(program, name))
 
@@ -142,11 +139,14 @@ def _yield_body(program: Program, name: str) -> Iterator[str]:
     yield "}"
 
 
-def yield_closing_parts(loops: Loops, closure: TracedFunction, name: str) -> Iterator[str]:
-    """Yield the functions that close the loops of `NA` drives: `follow(start, q)` is the one to call, `name_start` sets home."""
+def yield_closing_parts(loops: Loops, closure: TracedFunction, name: str, *, transposed: bool) -> Iterator[str]:
+    """Yield the functions that close the loops of `NA` drives: `follow(start, q)` is the one to call, `name_start` sets home.
+
+    `transposed` adds the function that solves with transposed matrices.
+    """
     n, gaps = len(loops.passive), len(closure.outputs["gap"])
     yield f"enum {{ NT = {n}, NZ = {n}, NG = {gaps}, WIDE = {n} }};"
-    yield fill_template("linear", {"TRANSPOSED"})
+    yield fill_template("linear", {"TRANSPOSED"} if transposed else ())
     head = (
         f"/* Gap of every loop [m] and, of those solved, the derivative by the {n} passive joints. */\n"
         f"static void equations(const double *q, const double *p, double gap[{gaps}], double J[{n * n}])"

@@ -18,9 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tau_dyn.codegen.forms import draw_reachable_positions
-from tau_dyn.codegen.graph import Node
 from tau_dyn.codegen.loops import Loops, spread_over_joints, trace_frames
-from tau_dyn.codegen.tracing import TracedFunction, as_expression_array, trace_function
+from tau_dyn.equations import Node, TracedFunction, as_expression_array, trace_function
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import (
     Frames,

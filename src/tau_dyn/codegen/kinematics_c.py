@@ -30,14 +30,10 @@ from tau_dyn.codegen.c_writer import (
     format_source,
     list_numbers,
     require_c_name,
-    yield_function,
-    yield_graph_lines,
-    yield_guard_lines,
-    yield_output_lines,
 )
 from tau_dyn.codegen.feedforward_c import fill_follow
 from tau_dyn.codegen.kinematics import KinematicsProgram
-from tau_dyn.codegen.tracing import TracedFunction
+from tau_dyn.equations import TracedFunction, yield_function, yield_graph_lines, yield_guard_lines, yield_output_lines
 from tau_dyn.version import __version__
 
 ROUNDS, ON_THE_WAY, LEGS, LEG = 40, 3, 60, 0.1

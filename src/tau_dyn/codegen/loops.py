@@ -1,36 +1,31 @@
 r"""Trees with loops on expressions: `mechanism`'s frames, gaps and tool run on symbols, and which equations close the loops.
 
-    J_p v_p = -J_a v_a,   J_p a_p = -(J_a a_a + gamma),   tau_a = tau(active) - J_a' J_p^-T tau(passive)
+    G = [1; -J_p^-1 J_a],   v = G v_a,   a = G a_a - [0; J_p^-1 gamma],   tau_a = G' tau
 
-with `gamma` the gap's acceleration without joint accelerations: three solves with one factored matrix. If rows repeat each
+with `gamma` the gap's acceleration without actuated accelerations: solves with one factored matrix. If rows repeat each
 other (a planar linkage closed by a ball) or a joint has no effect (a rod's spin), the redundant rows and joints at home are
 left out; the remaining system is square. Reference: Khalil & Dombre 2002, ch. 7 and 10; `mechanism/loops.py`.
-
-The forces of the open tree are those of `mechanism/newton_euler.py`, on expressions.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from copy import copy
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import qr
 
-from tau_dyn.codegen.tracing import TracedFunction, as_expression_array, trace_function
+from tau_dyn.equations import Graph, Node, TracedFunction, as_expression_array, trace_function
 from tau_dyn.exceptions import InputError
 from tau_dyn.mechanism import (
+    ClosedLoops,
     Frames,
     Joint,
     LoopArrays,
     LoopSolver,
     compute_frames,
-    compute_motion,
-    compute_tree_forces,
-    list_inertial_numbers,
     list_joints,
-    list_weights,
 )
 from tau_dyn.robot import Robot
 
@@ -42,65 +37,91 @@ def trace_frames(joints: list[Joint], q: Any) -> Frames:
     return compute_frames(joints, as_expression_array(q)[:, None])
 
 
-class Loops:
+class _Factored(NamedTuple):
+    """The inverse of the chosen equations' derivative by the solved joints, as solutions with a factored matrix."""
+
+    graph: Graph
+    factor: Node
+    rows: list[int]
+    n_gaps: int
+
+    def solve(self, b: np.ndarray) -> np.ndarray:
+        """Return `J_p^+ b` (passive, 1) of gaps (3 * loops, 1)."""
+        given = list(b[self.rows, 0])
+        if not any(isinstance(x, Node) or x for x in given):
+            return as_expression_array(np.zeros((len(given), 1)))
+        return as_expression_array(self.graph.solved(self.factor, given))[:, None]
+
+    def solve_transposed(self, b: np.ndarray) -> np.ndarray:
+        """Return `J_p'^+ b` (3 * loops, 1) of passive joints' forces (passive, 1); equations that are left out hold nothing."""
+        out = as_expression_array(np.zeros((self.n_gaps, 1)))
+        out[self.rows, 0] = self.graph.solved(self.factor, list(b[:, 0]), transposed=True)
+        return out
+
+
+class Loops(LoopArrays):
     """The loops of one robot, and which equations and joints close them.
 
     Attributes:
-        active: Places of the actuated joints in the tree.
-        passive: Places of the passive joints that are solved for.
+        passive: Places in the tree of the passive joints that are solved for.
         rows: The equations that are solved, as many.
         home: Positions of all joints at the robot's home (nv,) [m or rad].
     """
 
     def __init__(self, robot: Robot) -> None:
         """Choose equations and joints at home."""
-        self.robot, self._joints, solver = robot, list_joints(robot.model) or [], LoopSolver(robot)
-        self._arrays = LoopArrays(solver, self._joints)
-        self.active = robot.active_v.tolist()
+        super().__init__(LoopSolver(robot), list_joints(robot.model) or [])
+        self.robot, every = robot, self.passive
         self.home = self.closed(robot.home)
-        _, jacobian = self.closure(trace_frames(self._joints, self.home))
-        J = np.array(jacobian[:, solver.passive_v], float)
+        _, jacobian = self.closure(trace_frames(self.joints, self.home))
+        J = np.array(jacobian[:, every], float)
         size = np.abs(J).max(initial=1e-300)
         R, order = _pivoted(J)
         rank = int(np.sum(np.abs(np.diag(R)) > _RANK * size))
-        self.passive = sorted(int(solver.passive_v[k]) for k in order[:rank])
+        self.passive: Any = sorted(int(every[k]) for k in order[:rank])
         kept = np.array(jacobian[:, self.passive], float)
         self.rows = sorted(int(k) for k in _pivoted(kept.T)[1][:rank])
+        self._given: tuple[Graph, Any] | None = None
 
     def closed(self, q: np.ndarray) -> np.ndarray:
         """Return the positions of all joints (nv,) at actuated positions (na,), solved in Python."""
-        return self._arrays.positions(self._arrays.solver.close(q))
+        return self.positions(self.solver.close(q))
+
+    def on_expressions(self, graph: Graph, passive: Any) -> Loops:
+        """Return the same loops for tracing, with expressions of the solved joints' positions."""
+        other = copy(self)
+        other._given = graph, passive
+        return other
+
+    def close(self, q: np.ndarray) -> ClosedLoops:
+        """Return the closed configuration of one sample (1, na) on expressions; see `on_expressions`."""
+        assert self._given is not None
+        graph, passive = self._given
+        at = self.frames(q[0], passive)
+        J = self.closure(at)[1]
+        factor = graph.factored(J[np.ix_(self.rows, self.passive)])
+        inverse = _Factored(graph, factor, self.rows, len(J))
+        G = as_expression_array(np.zeros((len(self.home), len(self.active))))
+        for k, joint in enumerate(self.active):
+            G[joint, k] = 1.0
+            G[self.passive, k] = -inverse.solve(J[:, [joint]])[:, 0]
+        return ClosedLoops(as_expression_array(self.full(q[0], passive))[:, None], at, inverse, G[:, :, None])
 
     def full(self, active: Any, passive: Any) -> list[Any]:
         """Return one position a joint; joints that are not solved for stay at home's."""
         return spread_over_joints(list(self.home), (self.active, active), (self.passive, passive))
 
-    def rates(self, active: Any, passive: Any) -> list[Any]:
-        """Return one speed or acceleration a joint; joints that are not solved for rest."""
-        return spread_over_joints([0.0] * len(self.home), (self.active, active), (self.passive, passive))
-
     def frames(self, active: Any, passive: Any) -> Frames:
         """Return where all joints are."""
-        return trace_frames(self._joints, self.full(active, passive))
+        return trace_frames(self.joints, self.full(active, passive))
 
     def closure(self, at: Frames) -> tuple[np.ndarray, np.ndarray]:
         """Return the loops' gaps (3 * loops,) [m] and their derivative by every joint (3 * loops, nv)."""
-        gap = as_expression_array(self._arrays.gap(at)[:, 0])
-        jacobian = as_expression_array(np.zeros((len(gap), len(self.home))))
-        for (row, column), value in self._arrays.entries(at).items():
+        gap = as_expression_array(self.gap(at)[:, 0])
+        jacobian = as_expression_array(np.zeros((len(gap), self.solver.model.nv)))
+        for (row, column), value in self.entries(at).items():
             jacobian[row, column] = value[0]
         return gap, jacobian
-
-    def drift(self, at: Frames, v: Any) -> np.ndarray:
-        """Return the gaps' acceleration (3 * loops,) at one speed a joint, without joint accelerations."""
-        moving = compute_motion(self._joints, at, as_expression_array(v)[:, None], None, np.zeros(3))
-        return as_expression_array(self._arrays.gap_acceleration(at, moving)[:, 0])
-
-    def carried_force(self, held: Any, joint: int) -> Any:
-        """Return the loops' force (3,) on the bodies that a joint (by index) carries, from the forces on the solved equations."""
-        forces = as_expression_array(np.zeros(3 * len(self.robot.loops)))
-        forces[self.rows] = held
-        return self._arrays.carried_force(forces, joint)
 
     def trace_closure(self, q: np.ndarray) -> TracedFunction:
         """Return `gap`, and `J`, the derivative of the chosen equations by the solved joints, of drives `q` and joints `p`."""
@@ -112,7 +133,7 @@ class Loops:
         return trace_function({"q": q, "p": self.closed(q)[self.passive]}, closure)
 
 
-def spread_over_joints(out: list[Any], *parts: tuple[list[int], Any]) -> list[Any]:
+def spread_over_joints(out: list[Any], *parts: tuple[Sequence[int] | np.ndarray, Any]) -> list[Any]:
     """Put values at their places among the joints of a tree, and return all."""
     for places, values in parts:
         for k, x in zip(places, values, strict=True):
@@ -126,46 +147,21 @@ def _pivoted(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(found[0]), np.asarray(found[1])
 
 
-class Tree:
-    """The links of one robot at values of its parameters, numbers or expressions."""
+def require_joints(robot: Robot) -> list[Joint]:
+    """Return the joints of a tree whose equations can be written as code.
 
-    def __init__(self, robot: Robot, value: Callable[[str], Any] | None = None) -> None:
-        """Read the tree from Pinocchio's model.
-
-        Args:
-            robot: The robot.
-            value: Gives a parameter's value by its name; by default the robot's number.
-
-        Raises:
-            InputError: A joint neither turns about nor slides along one axis, a joint of a robot with loops follows another, or
-                a drive has a scale.
-        """
-        robot.require_unscaled_drives("generated code of a tree's equations")
-        robot.require_fixed_base("generated code of a tree's equations")
-        if robot.mimics and robot.loops:
-            listed = ", ".join(robot.mimics)
-            raise InputError(
-                "unsupported", f"{robot.source}: {listed} follow other joints; with loops no code is written then"
-            )
-        model, joints = robot.model, list_joints(robot.model)
-        if joints is None:
-            raise InputError("unsupported", f"{robot.source}: only hinges and slides of one axis each export")
-        value = value or (lambda name: robot.parameters[name].value)
-        self.joints = joints
-        self.pi = {joint: as_expression_array(pi) for joint, pi in list_inertial_numbers(robot, value).items()}
-        self.gravity = np.array(model.gravity.linear)
-        self.armature = {j: value(f"{j}.armature") for j in robot.actuated}
-        self.weights = list_weights(robot, value)
-
-    def under(self, gravity: np.ndarray) -> Tree:
-        """Return the same tree under another gravity (3,) [m/s^2]."""
-        other = copy(self)
-        other.gravity, other.weights = gravity, self.weights if np.any(gravity) else []
-        return other
-
-    def forces(self, q: Any, v: Any, a: Any) -> tuple[list[Any], list[np.ndarray]]:
-        """Return each joint's force, without drive inertia, and the force of the child links on its link, in its axes (3,)."""
-        x, speeds, changes = (as_expression_array(given)[:, None] for given in (q, v, a))
-        found = compute_tree_forces(self.joints, (x, speeds, changes), self.pi, self.weights, self.gravity)
-        still = np.zeros((3, 1), dtype=object)
-        return list(found.tau[:, 0]), [(still if force is None else force)[:, 0] for force in found.beyond[1:]]
+    Raises:
+        InputError: A joint neither turns about nor slides along one axis, a joint of a robot with loops follows another, or a
+            drive has a scale.
+    """
+    robot.require_unscaled_drives("generated code of a tree's equations")
+    robot.require_fixed_base("generated code of a tree's equations")
+    if robot.mimics and robot.loops:
+        listed = ", ".join(robot.mimics)
+        raise InputError(
+            "unsupported", f"{robot.source}: {listed} follow other joints; with loops no code is written then"
+        )
+    joints = list_joints(robot.model)
+    if joints is None:
+        raise InputError("unsupported", f"{robot.source}: only hinges and slides of one axis each export")
+    return joints

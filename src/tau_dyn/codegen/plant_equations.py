@@ -23,20 +23,21 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.codegen.c_writer import STEP, fill_template, yield_function
+from tau_dyn.codegen.c_writer import STEP, fill_template
 from tau_dyn.codegen.feedforward_c import yield_closing_parts
 from tau_dyn.codegen.forms import TracingInputs, find_loops
-from tau_dyn.codegen.graph import Node
 from tau_dyn.codegen.loops import Loops
-from tau_dyn.codegen.tracing import (
+from tau_dyn.effects import STATE, Bristle, DisplacementEffect, Effect, Motion, acts_on_recording, follow_reversal
+from tau_dyn.equations import (
     ExpressionArray,
+    Node,
     TracedFunction,
     as_expression_array,
     build_inputs,
     flatten_outputs,
     trace_function,
+    yield_function,
 )
-from tau_dyn.effects import STATE, Bristle, DisplacementEffect, Effect, Motion, acts_on_recording, follow_reversal
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import BY_STATE, COMPUTED, Model
 
@@ -331,13 +332,13 @@ def yield_plant_parts(equations: Equations, further: Sequence[str]) -> Iterator[
             f"#define CLOSED(s) {'(close_loops(s) ? 0 : 2)' if loops is not None else '0'}",
         )
     )
+    named = {name: getattr(equations, name) for name in ("dynamics", "friction", "mass", *further)}
+    parts: dict[str, TracedFunction] = {name: part for name, part in named.items() if part is not None}
     if loops is not None and equations.closure is not None:
-        yield from yield_closing_parts(loops, equations.closure, "plant")
+        transposed = any(part.graph.uses("solve_t", part.values) for part in parts.values())
+        yield from yield_closing_parts(loops, equations.closure, "plant", transposed=transposed)
     moved = {f"theta[{k}]": f"theta[{i}]" for i, k in enumerate(equations.parameters)}
-    for name in ("dynamics", "friction", "mass", *further):
-        part: TracedFunction | None = getattr(equations, name)
-        if part is not None:
-            yield _write_part(name, part, moved)
+    yield from (_write_part(name, part, moved) for name, part in parts.items())
     flags = {"FRICTION": equations.friction, "MASS": equations.mass, "REMEMBERS": remembers or None, "LOOPS": loops}
     yield fill_template("plant", {flag for flag, part in flags.items() if part is not None}, STEP=repr(STEP))
 

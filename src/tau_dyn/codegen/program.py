@@ -13,10 +13,9 @@ from typing import Any, Protocol, Self
 import numpy as np
 
 from tau_dyn.codegen.forms import TracedModel, TracingInputs, draw_random_states, find_loops
-from tau_dyn.codegen.graph import Graph, evaluate_graph
 from tau_dyn.codegen.loops import Loops
-from tau_dyn.codegen.tracing import TracedFunction, build_inputs
 from tau_dyn.effects import describe_missing_state
+from tau_dyn.equations import Graph, TracedFunction, build_inputs, evaluate_graph
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import BY_STATE, Model
 from tau_dyn.version import __version__

@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 
 from tau_dyn.codegen.c_writer import ITERATIONS, MAX_NUMBER, STEP, STEPS
-from tau_dyn.codegen.graph import Graph, Node
 from tau_dyn.codegen.program import Program, yield_description
-from tau_dyn.codegen.tracing import TracedFunction
+from tau_dyn.equations import Graph, Node, TracedFunction
 from tau_dyn.exceptions import InputError
 
 _FORM = {

@@ -1,7 +1,7 @@
 """A feedforward as compiled code: the same forces as in Python to rounding, one state a call, in a few microseconds.
 
 The model is traced and compared with Python at random states (`codegen/program.py`), written as the C of `feedforward export`,
-built once and stored (`codegen/compiler.py`). A state that the compiled code refuses (a status above zero) is answered by Python.
+built once and stored (`equations/compiler.py`). Python answers a state that the compiled code refuses (a status above zero).
 """
 
 from __future__ import annotations
@@ -12,14 +12,8 @@ from typing import Self
 
 import numpy as np
 
-from tau_dyn.codegen import (
-    LibraryCache,
-    TraceableForces,
-    build_program,
-    find_compiler,
-    is_compiling_allowed,
-    write_c_source,
-)
+from tau_dyn.codegen import TraceableForces, build_program, write_c_source
+from tau_dyn.equations import LibraryCache, find_compiler, is_compiling_allowed
 from tau_dyn.exceptions import InputError
 
 _NAME = "tau_ff"

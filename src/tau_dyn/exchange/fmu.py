@@ -17,14 +17,13 @@ from html import escape
 from tau_dyn.codegen import (
     build_equations,
     build_variables,
-    compile_library,
-    find_compiler,
     format_description,
     format_identifier,
     list_unsupported_effects,
     write_fmu_source,
 )
 from tau_dyn.effects import acts_on_recording
+from tau_dyn.equations import compile_library, find_compiler
 from tau_dyn.exchange.content import list_nominal_parameters
 from tau_dyn.model import Model
 from tau_dyn.simulate import compare_equations

@@ -33,7 +33,6 @@ import numpy as np
 
 from tau_dyn.codegen import (
     Loops,
-    TracedFunction,
     draw_random_states,
     find_loops,
     join_names,
@@ -57,6 +56,7 @@ from tau_dyn.effects import (
     ReducerCoupling,
     acts_on_recording,
 )
+from tau_dyn.equations import TracedFunction
 from tau_dyn.exceptions import InputError
 from tau_dyn.exchange.content import build_carried_model, list_means
 from tau_dyn.mechanism import compute_perpendicular_axes

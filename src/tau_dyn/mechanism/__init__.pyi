@@ -46,6 +46,7 @@ from .legs import (
     find_ball_joints as find_ball_joints,
 )
 from .loop_arrays import (
+    ClosedLoops as ClosedLoops,
     LoopArrays as LoopArrays,
     compute_actuated_positions_from as compute_actuated_positions_from,
     list_loop_joints as list_loop_joints,
@@ -115,7 +116,7 @@ from .small_systems import (
     iterate_newton as iterate_newton,
     measure_column_lengths as measure_column_lengths,
 )
-from .tree import TreeMechanism as TreeMechanism, build_mechanism as build_mechanism
+from .tree import LoadedTree as LoadedTree, TreeMechanism as TreeMechanism, build_mechanism as build_mechanism
 from .tree_geometry import (
     PRIORITY as PRIORITY,
     ClosedConfigurations as ClosedConfigurations,

@@ -14,27 +14,30 @@ has the same through Pinocchio, one sample at a time, and the tests compare the 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
+from tau_dyn.equations import Graph, Tape, as_expression_array, build_inputs, find_tape
 from tau_dyn.mechanism.frames import (
     FrameMotion,
     Joint,
     Vector,
     add_vectors,
     compute_cross_product,
+    compute_frames,
     compute_motion,
     rotate_into_frame,
     transform_point,
 )
-from tau_dyn.mechanism.loop_arrays import ClosedLoops, LoopArrays, get_cells
+from tau_dyn.mechanism.loop_arrays import ClosedLoops, Dense, LoopArrays, get_cells
 from tau_dyn.mechanism.loops import LoopSolver
 from tau_dyn.mechanism.mechanism import require_tool_frame
 from tau_dyn.mechanism.newton_euler import TreeForces, Weight, compute_tree_forces, list_inertial_numbers, list_weights
-from tau_dyn.robot import Robot, compute_inertia_matrix
+from tau_dyn.robot import Robot
 
 
 class BodyMotion(NamedTuple):
@@ -63,7 +66,7 @@ class BodyMotion(NamedTuple):
             if partial is not None and acting is not None:
                 for row, x in zip(partial, acting, strict=True):
                     out = row * x if out is None else np.add(out, row * x, out=out)
-        return np.zeros(self.linear.shape[1:]) if out is None else out
+        return np.zeros_like(self.linear, shape=self.linear.shape[1:]) if out is None else out
 
 
 def compute_body_columns(body: BodyMotion, wanted: list[int]) -> list[np.ndarray | None]:
@@ -83,17 +86,7 @@ def compute_body_columns(body: BodyMotion, wanted: list[int]) -> list[np.ndarray
     return out
 
 
-def compute_momentum(linear: np.ndarray, angular: Vector, pi: np.ndarray) -> tuple[np.ndarray, Vector]:
-    """Return linear and angular momentum (3, N) about a body's origin, at its velocities (3, N), all in its axes."""
-    if angular is None:
-        return pi[0] * linear, None
-    h = np.broadcast_to(pi[1:4, None], linear.shape)
-    return pi[0] * linear + compute_cross_product(angular, h), compute_cross_product(
-        h, linear
-    ) + compute_inertia_matrix(pi) @ angular  # type: ignore[operator]
-
-
-def _product(column: list[np.ndarray], partial: np.ndarray) -> np.ndarray:
+def _product(column: Sequence[np.ndarray], partial: np.ndarray) -> np.ndarray:
     """Return the scalar products (n, N) of a vector's rows and partial velocities (3, n, N)."""
     return column[0] * partial[0] + column[1] * partial[1] + column[2] * partial[2]
 
@@ -102,7 +95,7 @@ def _spin_matrix(body: BodyMotion) -> list[list[np.ndarray]] | None:
     """Return the rows of `S = [dw]x + [w]x [w]x`, or None if the body does not turn."""
     if body.turning is None and body.spinning_up is None:
         return None
-    zero = np.zeros((3, body.linear.shape[2]))
+    zero = np.zeros_like(body.linear, shape=(3, body.linear.shape[2]))
     x, y, z = zero if body.turning is None else body.turning
     dx, dy, dz = zero if body.spinning_up is None else body.spinning_up
     xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, x * y, x * z, y * z
@@ -111,7 +104,7 @@ def _spin_matrix(body: BodyMotion) -> list[list[np.ndarray]] | None:
 
 def _inertia_columns(body: BodyMotion, S: list[list[np.ndarray]], A: np.ndarray) -> list[np.ndarray]:
     """Return the actuated forces (n, N) per unit of `Ixx, Ixy, Iyy, Ixz, Iyz, Izz`."""
-    zero = np.zeros((3, A.shape[2]))
+    zero = np.zeros_like(A, shape=(3, A.shape[2]))
     x, y, z = zero if body.turning is None else body.turning
     dx, dy, dz = zero if body.spinning_up is None else body.spinning_up
     xy, xz, yz = x * y, x * z, y * z
@@ -155,24 +148,47 @@ class WeightArms(NamedTuple):
 class BatchedTree:
     """Dynamics of one robot for arrays of samples; see `Mechanism` for the return value of each method."""
 
-    def __init__(self, robot: Robot, solver: LoopSolver, joints: list[Joint]) -> None:
-        """Prepare for a robot with its parameters' values."""
+    def __init__(
+        self,
+        robot: Robot,
+        solver: LoopSolver,
+        joints: list[Joint],
+        value: Callable[[str], Any] | None = None,
+        loops: LoopArrays | None = None,
+    ) -> None:
+        """Prepare for a robot.
+
+        Args:
+            robot: The robot.
+            solver: Closes its loops one sample after the other.
+            joints: Its tree.
+            value: Gives a parameter by its name, a number or an expression; by default the robot's number.
+            loops: Closes its loops; by default with numbers.
+        """
         self.robot, self.solver, self.joints = robot, solver, joints
-        self.loops = LoopArrays(solver, joints, get_cells(robot))
+        self.loops = LoopArrays(solver, joints, get_cells(robot)) if loops is None else loops
         self.gravity = np.asarray(solver.model.gravity.linear, float)
         first = np.cumsum([0, *(len(link.own) for link in robot.links)])
         self._links = [(link, link.map, int(k)) for link, k in zip(robot.links, first, strict=False)]
         self._armature = int(first[-1])
-        value = dict(zip(robot.parameters.names, robot.parameters.values, strict=True)).__getitem__
+        self._n_computed = 0  # samples of the regressor
+        self._passive = solver.passive_v if robot.loops else np.zeros(0, int)
+        value = value or dict(zip(robot.parameters.names, robot.parameters.values, strict=True)).__getitem__
         self.pi = list_inertial_numbers(robot, value)
-        self.drive = robot.parameters.values[self._armature : self._armature + robot.na]
+        self.drive = np.array([value(f"{joint}.armature") for joint in robot.actuated])
         self.weights = list_weights(robot, value)
 
     def regressor(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return `Y` (N, na, p), laid out in memory as (na, p, N)."""
-        Y = np.zeros((self.robot.na, len(self.robot.parameters), len(q)))
-        for part in iterate_blocks(len(q)):
-            self._fill(Y[:, :, part], q[part], v[part], a[part])
+        n = len(q)
+        self._n_computed += n
+        found = find_tape(self._content, self._n_computed, self._trace_columns)
+        Y = np.zeros((self.robot.na, len(self.robot.parameters), _pad(n)))[:, :, :n]
+        for part in iterate_blocks(n):
+            if found is None:
+                self._fill(Y[:, :, part], *self._moving(q[part], v[part], a[part]))
+            else:
+                found[0].run(self._list_rows(q[part], v[part], a[part]), Y[:, :, part], found[1])
         joints = range(self.robot.na)
         Y[joints, [self._armature + j for j in joints]] = a.T
         return Y.transpose(2, 0, 1)
@@ -187,16 +203,12 @@ class BatchedTree:
 
     def inertia(self, q: np.ndarray) -> np.ndarray:
         """Return the mass matrix (N, na, na)."""
-        M = np.zeros((self.robot.na, self.robot.na, len(q)))
+        M = np.zeros_like(q, shape=(self.robot.na, self.robot.na, len(q)), order="C")
         for part in iterate_blocks(len(q)):
             closed = self.loops.close(q[part])
-            partials = self._partials(closed)
-            for link, _, _ in self._links:
-                partial = partials[link.joint_id]
-                body = self._body(closed, None, partial, link.joint_id)
-                for k, other in enumerate(partial.movers):
-                    one = body.linear[:, k], None if body.angular is None else body.angular[:, k]
-                    M[partial.movers, other, part] += body.power(*compute_momentum(*one, self.pi[link.joint_id]))
+            for k in range(self.robot.na):  # forces of a unit acceleration from rest, without weight
+                tree = compute_tree_forces(self.joints, (closed.x, None, closed.G[:, k]), self.pi, (), np.zeros(3))
+                M[:, k, part] = np.einsum("van,vn->an", closed.G, tree.tau)
         M[range(self.robot.na), range(self.robot.na)] += self.drive[:, None]
         return M.transpose(2, 0, 1)
 
@@ -238,7 +250,7 @@ class BatchedTree:
 
     def _tool(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         frame = self.solver.model.frames[require_tool_frame(self.robot)]
-        place, J = np.empty((3, len(q))), np.zeros((3, self.robot.na, len(q)))
+        place, J = (np.zeros_like(q, shape=(*shape, len(q)), order="C") for shape in ((3,), (3, self.robot.na)))
         for part in iterate_blocks(len(q)):
             closed = self.loops.close(q[part])
             partial = self._partials(closed)[frame.parentJoint]
@@ -258,8 +270,38 @@ class BatchedTree:
         speeds = np.einsum("van,na->vn", closed.G, v)
         return closed, speeds, self.loops.accelerations(closed, speeds, a.T)
 
-    def _fill(self, Y: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
+    @cached_property
+    def _content(self) -> tuple[bytes, ...]:
+        """Everything on which the columns' formulas depend."""
+        numbers = [x for joint in self.joints for x in joint] + [self.robot.coupling[0], self._passive, self.gravity]
+        numbers += [len(self.joints), self.robot.na, len(self.robot.parameters)]
+        numbers += [x for link, map_, first in self._links for x in (link.joint_id, map_, first)]
+        numbers += [x for weight in self.weights for x in (weight.column, weight.joint, weight.local)]
+        return tuple(np.asarray(x, float).tobytes() for x in numbers)
+
+    def _list_rows(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Return positions, velocities and accelerations of all joints, and `G` of the passive ones, as rows (m, N)."""
+        if not self.robot.loops:
+            share, offset = self.robot.coupling
+            return np.concatenate([share @ q.T + offset[:, None], share @ v.T, share @ a.T])
         closed, speeds, changes = self._moving(q, v, a)
+        return np.concatenate([closed.x, speeds, changes, closed.G[self._passive].reshape(-1, len(q))])
+
+    def _trace_columns(self) -> Tape:
+        """Return `_fill` on expressions, as a function of `_list_rows`."""
+        graph, rng, (nv, na) = Graph(), np.random.default_rng(0), self.robot.coupling[0].shape
+        x, speeds, changes = (build_inputs(graph, name, rng.standard_normal(nv)) for name in "xva")
+        passive = build_inputs(graph, "G", rng.standard_normal(len(self._passive) * na))
+        G = as_expression_array(self.robot.coupling[0])
+        G[self._passive] = passive.reshape(-1, na)
+        Y = as_expression_array(np.zeros((na, len(self.robot.parameters), 1)))
+        at = compute_frames(self.joints, x[:, None])
+        closed = ClosedLoops(x[:, None], at, Dense(np.zeros((1, 0, 0))), G[:, :, None])
+        self._fill(Y, closed, speeds[:, None], changes[:, None])
+        return Tape(graph, [*x, *speeds, *changes, *passive], list(np.ravel(Y)))
+
+    def _fill(self, Y: np.ndarray, closed: ClosedLoops, speeds: np.ndarray, changes: np.ndarray) -> None:
+        """Add the columns at closed configurations with all joints' velocities and accelerations (nv, N), except armatures'."""
         moving = compute_motion(self.joints, closed.at, speeds, changes, -self.gravity)
         partials = self._partials(closed)
         for link, map_, first in self._links:
@@ -274,25 +316,22 @@ class BatchedTree:
             partial = partials[weight.joint]
             Y[partial.movers, weight.column] += self._held(closed, partial, weight)
 
-    def _body(self, closed: ClosedLoops, moving: FrameMotion | None, partial: Partial, joint: int) -> BodyMotion:
-        """Return a body's partial velocities and motion in its own axes; without motion if no motion is given."""
+    def _body(self, closed: ClosedLoops, moving: FrameMotion, partial: Partial, joint: int) -> BodyMotion:
+        """Return a body's partial velocities and motion in its own axes."""
         rotation = closed.at.rotation[joint]
 
         def own(x: Vector) -> Vector:
             return None if x is None else rotate_into_frame(rotation[:, :, None] if x.ndim == 3 else rotation, x)
 
-        turning = (None, None, None)
-        if moving is not None:
-            turning = moving.acceleration[joint], moving.turning[joint], moving.spinning_up[joint]
-        a, w, dw = (own(x) for x in turning)
+        a, w, dw = (own(x[joint]) for x in (moving.acceleration, moving.turning, moving.spinning_up))
         linear = rotate_into_frame(rotation[:, :, None], partial.linear)
         return BodyMotion(partial.movers, linear, own(partial.angular), a, w, dw)
 
     def _partials(self, closed: ClosedLoops) -> list[Partial]:
         """Return the partial velocities of all joints' frames, in world axes."""
         n = closed.x.shape[1]
-        found = [Partial(np.zeros(0, int), np.zeros((3, 0, n)), None)]
-        share, passive = self.robot.coupling[0], set(self.solver.passive_v.tolist() if self.robot.loops else ())
+        found = [Partial(np.zeros(0, int), np.zeros_like(closed.x, shape=(3, 0, n)), None)]
+        share, passive = self.robot.coupling[0], set(self._passive.tolist())
         for joint in self.joints:
             parent = found[joint.parent]
             arm = closed.at.origin[joint.index] - closed.at.origin[joint.parent]
@@ -321,7 +360,7 @@ class BatchedTree:
     def _held(self, closed: ClosedLoops, partial: Partial, weight: Weight) -> np.ndarray:
         """Return the actuated forces (n, N) that hold 1 kg against gravity."""
         place = transform_point(closed.at, weight.joint, weight.local)
-        return -np.einsum("xan,x->an", self._velocity(closed, partial, weight.joint, place), self.gravity)
+        return _product(list(-self.gravity), self._velocity(closed, partial, weight.joint, place))
 
 
 def find_velocity_indices(model: pin.Model, joints: Sequence[str]) -> list[int]:
@@ -344,6 +383,11 @@ def _sum(terms: list[tuple[float, np.ndarray]]) -> np.ndarray:
     return out
 
 
+def _pad(n: int) -> int:
+    """Return a length of rows from which the same sample of many rows has different places in the processor's cache."""
+    return 16 * -(-n // 16) + 8
+
+
 def iterate_blocks(n: int) -> Iterator[slice]:
     """Yield slices of at most one block that together make n samples."""
     for start in range(0, n, _BLOCK):
@@ -354,6 +398,6 @@ def _spread(x: np.ndarray, of: np.ndarray, movers: np.ndarray) -> np.ndarray:
     """Return a copy (3, n, N) of columns of some actuated joints among those of more."""
     if len(of) == len(movers):
         return x.copy()
-    out = np.zeros((3, len(movers), x.shape[2]))
+    out = np.zeros_like(x, shape=(3, len(movers), x.shape[2]), order="C")
     out[:, np.searchsorted(movers, of)] = x
     return out

@@ -232,10 +232,6 @@ class GantryTauMechanism(Mechanism):
         rail = e / self.scale[:, None]
         return np.sum(held * rail, axis=2, keepdims=True) * rail - held
 
-    def guide_load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Return the size (N, 3) [N] of the force of each rod across its guideway."""
-        return np.sqrt(np.sum(self.guide_force(q, v, a) ** 2, axis=2))
-
     def passive_rates(self, q: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
         """Return each rod's angular velocity per cart velocity (N, 3, 3, 3); see `Mechanism.passive_rates`.
 

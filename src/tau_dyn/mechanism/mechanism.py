@@ -248,13 +248,18 @@ class Mechanism(ABC):
         guideway. The cart's own weight is constant and left out. Zero for revolute joints.
         """
 
-    @abstractmethod
     def guide_load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the load of each actuated joint's guide (N, na), at the parameters' values.
 
         Prismatic: the size of `guide_force` [N]. Revolute: the size of the rigid-body torque [N m] that the reducer transmits;
         the torque that accelerates the drive's own inertia does not pass it.
         """
+        across = self.guide_force(q, v, a)
+        load = np.sqrt(np.sum(across * across, axis=2))
+        hinges = [k for k, kind in enumerate(self.robot.joint_kinds) if kind != "prismatic"]
+        if hinges:
+            load[:, hinges] = np.abs(self.reducer_torque(q, v, a))[:, hinges]
+        return load
 
     def reducer_torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the force that each drive's reducer transmits (N, na) [N or N m], with its sign: the rigid bodies' force.
@@ -340,12 +345,13 @@ class Mechanism(ABC):
     def _turned(self) -> list[Self]:
         """The same mechanism under the two gravities `axis x g`."""
         gravity = np.asarray(self.robot.model.gravity.linear, float)
-        found = []
-        for axis in compute_perpendicular_axes(gravity):
-            model = pin.Model(self.robot.model)
-            model.gravity.linear = np.cross(axis, gravity)
-            found.append(type(self)(replace(self.robot, model=model)))
-        return found
+        return [self._under(np.cross(axis, gravity)) for axis in compute_perpendicular_axes(gravity)]
+
+    def _under(self, gravity: np.ndarray) -> Self:
+        """Return the same mechanism under another gravity (3,) [m/s^2]."""
+        model = pin.Model(self.robot.model)
+        model.gravity.linear = gravity
+        return type(self)(replace(self.robot, model=model))
 
     def guide_across(self) -> np.ndarray:
         """Return two unit directions across each prismatic joint's axis (na, 2, 3), in base axes; zeros for hinges.

@@ -92,14 +92,14 @@ class TreeForces(NamedTuple):
 
 
 def compute_link_motions(
-    joints: Sequence[Joint], x: np.ndarray, v: np.ndarray, a: np.ndarray, gravity: np.ndarray
+    joints: Sequence[Joint], x: np.ndarray, v: Vector, a: np.ndarray, gravity: np.ndarray
 ) -> list[LinkMotion]:
     """Return the links' motions by Pinocchio's index, that of the world first.
 
     Args:
         joints: The tree.
         x: Positions of its joints (nv, N) [m or rad].
-        v: Velocities (nv, N).
+        v: Velocities (nv, N), or None for rest.
         a: Accelerations (nv, N).
         gravity: In base axes (3,) [m/s^2].
     """
@@ -116,7 +116,7 @@ def compute_link_motions(
         c = add_vectors(above.c, compute_cross_product(above.dw, p))
         c = add_vectors(c, compute_cross_product(above.w, compute_cross_product(above.w, p)))
         w, dw, c = (None if vector is None else rotate_into_frame(R, vector) for vector in (above.w, above.dw, c))
-        rate, gain = u * v[joint.v], u * a[joint.v]
+        rate, gain = None if v is None else u * v[joint.v], u * a[joint.v]
         across = compute_cross_product(w, rate)
         if joint.slides:
             c = add_vectors(c, add_vectors(None if across is None else 2.0 * across, gain))
@@ -141,7 +141,7 @@ def compute_link_wrench(motion: LinkMotion, pi: np.ndarray) -> tuple[Vector, Vec
 
 def compute_tree_forces(
     joints: Sequence[Joint],
-    state: tuple[np.ndarray, np.ndarray, np.ndarray],
+    state: tuple[np.ndarray, Vector, np.ndarray],
     pi: Mapping[int, np.ndarray],
     weights: Sequence[Weight],
     gravity: np.ndarray,
@@ -150,7 +150,7 @@ def compute_tree_forces(
 
     Args:
         joints: The tree.
-        state: Positions, velocities and accelerations of its joints, each (nv, N).
+        state: Positions, velocities (None for rest) and accelerations of its joints, each (nv, N).
         pi: Ten inertial numbers of the links, by Pinocchio's index.
         weights: Masses that only gravity acts on.
         gravity: In base axes (3,) [m/s^2].
@@ -168,7 +168,7 @@ def compute_tree_forces(
         f[weight.joint] = add_vectors(f[weight.joint], held)
         n[weight.joint] = add_vectors(n[weight.joint], compute_cross_product(weight.local[:, None], held))
     beyond: list[Vector] = [None] * len(motions)
-    tau = np.zeros_like(state[1])
+    tau = np.zeros_like(state[0])
     for joint in reversed(joints):
         k, parent = joint.index, joint.parent
         acting = f[k] if joint.slides else n[k]

@@ -141,15 +141,6 @@ class SamplewiseTree(Mechanism):
                 out[k, i] = self._across(i, pulls)
         return out
 
-    def guide_load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Return the load of each joint's guide (N, na); see `Mechanism.guide_load`."""
-        q, v, a = self._checked(q, v, a)
-        load = np.sqrt(np.sum(self.guide_force(q, v, a) ** 2, axis=2))
-        hinges = [k for k in range(self.robot.na) if k not in self._sliding]
-        if hinges:
-            load[:, hinges] = np.abs(self.reducer_torque(q, v, a))[:, hinges]
-        return load
-
     def passive_rates(self, q: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
         """Return how fast passive bearings turn (N, n, 3, na); see `Mechanism.passive_rates` and `loops.py`."""
         (q,) = self._checked(q)
@@ -266,14 +257,14 @@ class LoadedTree(BatchedTree):
     forces on its subtree minus the forces that accelerate and carry the bodies beyond it. Moments do not enter it.
     """
 
-    def __init__(self, robot: Robot, solver: LoopSolver, joints: list[Joint]) -> None:
-        """Prepare for a robot with its parameters' values."""
-        super().__init__(robot, solver, joints)
+    def __init__(self, robot: Robot, solver: LoopSolver, joints: list[Joint], *given: Any) -> None:
+        """Prepare for a robot; see `BatchedTree`."""
+        super().__init__(robot, solver, joints, *given)
         self._pairs = find_passive_pairs(robot, solver.model)
 
     def guide_force(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the force across each prismatic joint's axis (N, na, 3); see `Mechanism.guide_force`."""
-        out = np.zeros((self.robot.na, 3, len(q)))
+        out = np.zeros_like(q, shape=(self.robot.na, 3, len(q)), order="C")
         for part in iterate_blocks(len(q)):
             self._fill_guides(out[:, :, part], q[part], v[part], a[part])
         return out.transpose(2, 0, 1)
@@ -281,7 +272,7 @@ class LoadedTree(BatchedTree):
     def passive_rates(self, q: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
         """Return how fast passive bearings turn per actuated speed (N, n, 3, na); see `loops.py`."""
         pairs = self._pairs
-        out = np.zeros((len(pairs), 3, self.robot.na, len(q)))
+        out = np.zeros_like(q, shape=(len(pairs), 3, self.robot.na, len(q)), order="C")
         for part in iterate_blocks(len(q) if pairs else 0):
             closed = self.loops.close(q[part])
             out[:, :, :, part] = compute_turning_rates(pairs, self.joints, closed.at, closed.G)
@@ -301,7 +292,7 @@ class LoadedTree(BatchedTree):
 
     def _fill_guides(self, out: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> None:
         closed, tree = self.open_tree(q, v, a)
-        pulls = closed.inverse.solve_transposed(tree.tau[self.solver.passive_v]) if self.robot.loops else None
+        pulls = closed.inverse.solve_transposed(tree.tau[self.loops.passive]) if self.robot.loops else None
         for i, (name, kind) in enumerate(zip(self.robot.actuated, self.robot.joint_kinds, strict=True)):
             if kind != "prismatic":
                 continue

@@ -1,6 +1,6 @@
 """The servo loops of `loop.py` as compiled code: the same equations, trial by trial, a hundred times faster.
 
-The source is C99, built once and kept (`codegen/compiler.py`). Without a compiler, or with `TAU_DYN_COMPILE=0`, `loop.py` steps
+The source is C99, built once and kept (`equations/compiler.py`). Without a compiler, or with `TAU_DYN_COMPILE=0`, `loop.py` steps
 all trials at once in numpy; both agree to rounding.
 """
 
@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from tau_dyn.codegen import LibraryCache, is_compiling_allowed
+from tau_dyn.equations import LibraryCache, is_compiling_allowed
 from tau_dyn.servo.waves import LoadRows, Trials, Waves
 from tau_dyn.simulate import COMMANDS, SERVO_ENTRIES
 

@@ -1,7 +1,7 @@
 """The plant as compiled code: whole runs in one call, the same trajectories as `plant.py` to rounding, many times faster.
 
 A model's equations are traced (`codegen/plant_equations.py`), written in C with the parameters as inputs, compared with the
-simulator's at random states, built once and stored (`codegen/compiler.py`). One library works for all values of the parameters:
+simulator's at random states, built once and stored (`equations/compiler.py`). One library works for all values of the parameters:
 
     plant = CompiledPlant.find(model, n_samples)
     plant.apply_forces(q0, v0, dt, tau, parameters=theta)      # forces (N, na)
@@ -28,18 +28,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.signal import lfilter
 
-from tau_dyn.codegen import (
-    Equations,
-    LibraryCache,
-    TracedFunction,
-    build_equations,
-    draw_random_states,
-    evaluate_graph,
-    find_compiler,
-    is_compiling_allowed,
-    write_plant_source,
-)
+from tau_dyn.codegen import Equations, build_equations, draw_random_states, write_plant_source
 from tau_dyn.effects import DisplacementEffect, acts_on_recording
+from tau_dyn.equations import LibraryCache, TracedFunction, evaluate_graph, find_compiler, is_compiling_allowed
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 from tau_dyn.simulate.controllers import Servo

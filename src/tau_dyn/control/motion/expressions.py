@@ -15,8 +15,9 @@ from typing import Any, cast
 
 import numpy as np
 
-from tau_dyn.codegen import Graph, Node, Program, build_program
+from tau_dyn.codegen import Program, build_program
 from tau_dyn.control.feedforward import Feedforward
+from tau_dyn.equations import Graph, Node
 from tau_dyn.exceptions import InputError
 from tau_dyn.model import Model
 

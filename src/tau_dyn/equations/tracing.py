@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from tau_dyn.codegen.graph import MEANING, Graph, Node, evaluate_graph
-from tau_dyn.mechanism import compute_cross_product
+from tau_dyn.equations.graph import MEANING, Graph, Node, evaluate_graph
 
 
 def _op(name: str) -> Callable[..., Any]:
@@ -146,8 +145,9 @@ def _inverse_of(A: np.ndarray, n: int) -> np.ndarray:
         return cofactors * _op("div")(1.0, A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0])
     if n > 3:
         raise TypeError("the inverse of a matrix larger than 3 by 3")
-    rows = [compute_cross_product(A[1], A[2]), compute_cross_product(A[2], A[0]), compute_cross_product(A[0], A[1])]
-    return np.array(rows, dtype=object).T * _op("div")(1.0, A[0] @ rows[0])
+    ring = np.pad(A, (0, 2), mode="wrap")
+    cofactors = ring[1:4, 1:4] * ring[2:, 2:] - ring[1:4, 2:] * ring[2:, 1:4]
+    return cofactors.T * _op("div")(1.0, A[0] @ cofactors[0])
 
 
 def _like(value: float) -> Callable[..., Any]:

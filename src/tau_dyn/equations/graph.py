@@ -106,6 +106,10 @@ class Graph:
                 open_ += self.nodes[index].before
         return [self.nodes[k] for k in sorted(seen)]
 
+    def uses(self, op: str, outputs: Sequence[Any]) -> bool:
+        """Return whether outputs and guards need an operation."""
+        return any(node.op == op for node in self.needed(outputs))
+
     def _node(self, op: str, args: tuple, value: Any) -> Node:
         key = (op, *args)
         if key not in self._known:

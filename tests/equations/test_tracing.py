@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tau_dyn.codegen import Graph, Node, as_expression_array, build_inputs
-from tau_dyn.codegen.graph import evaluate_graph
+from tau_dyn.equations import Graph, Node, as_expression_array, build_inputs, evaluate_graph
 
 
 def test_equal_expressions_are_one_node_and_numbers_stay_numbers() -> None:
