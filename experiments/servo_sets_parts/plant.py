@@ -81,12 +81,16 @@ def move(arm: Arm, stamps: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray
     late = max(1, round(s.torque_delay / STEP_S))
     pipeline = np.zeros((late, n))
     links, rotors = np.zeros_like(commands), np.zeros_like(commands)
-    row, sent = 0, np.searchsorted(stamps, np.arange(steps) * STEP_S - s.command_delay + 1e-12, side="right") - 1
+    row, begins = 0, (np.arange(steps + 1) - 0.5) * STEP_S - s.command_delay  # leapfrog: a force acts about its position
+    sent = np.maximum(np.searchsorted(stamps, begins + 1e-12, side="right") - 1, 0)
     for k in range(steps):
         while row < len(stamps) and stamps[row] <= k * STEP_S + STEP_S / 2:
-            links[row], rotors[row] = q, theta
+            after = stamps[row] - k * STEP_S
+            links[row], rotors[row] = q + after * v, theta + after * w
             row += 1
-        wanted = commands[max(sent[k], 0)]
+        wanted = commands[sent[k]]
+        if sent[k + 1] != sent[k]:  # the mean about it
+            wanted = wanted + (begins[k + 1] - stamps[sent[k + 1]]) / STEP_S * (commands[sent[k + 1]] - wanted)
         goal, goal_speed = _follow(goal, goal_speed, wanted, s.acceleration)
         motor, speed = (theta, w) if apart else (q, v)
         tau = _torque(s, goal - motor, speed)
