@@ -81,7 +81,10 @@ def move(arm: Arm, stamps: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray
     late = max(1, round(s.torque_delay / STEP_S))
     pipeline = np.zeros((late, n))
     links, rotors = np.zeros_like(commands), np.zeros_like(commands)
-    row, begins = 0, (np.arange(steps + 1) - 0.5) * STEP_S - s.command_delay  # leapfrog: a force acts about its position
+    row, begins = (
+        0,
+        (np.arange(steps + 1) - 0.5) * STEP_S - s.command_delay,
+    )  # leapfrog: a force acts about its position
     sent = np.maximum(np.searchsorted(stamps, begins + 1e-12, side="right") - 1, 0)
     for k in range(steps):
         while row < len(stamps) and stamps[row] <= k * STEP_S + STEP_S / 2:
