@@ -1,4 +1,4 @@
-"""A tree on expressions answers what its mechanism answers, so that exported code and plants are the robot's."""
+"""Forces, mass matrices and loads of a tree on expressions equal those of its mechanism, as exported code needs."""
 
 from __future__ import annotations
 

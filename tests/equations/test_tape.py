@@ -67,7 +67,7 @@ def test_threads_share_a_tape(run, rng) -> None:
 
 
 def test_a_condition_or_an_unknown_operation_has_no_tape() -> None:
-    """What a list of arithmetic cannot hold is refused, and its caller stays with array code."""
+    """Operations that tapes lack are refused, and their caller keeps the array code."""
     graph = Graph()
     (x,) = build_inputs(graph, "x", np.array([2.0]))
     for odd in (np.sin(x * 2.0), np.tanh(x), np.where(x > 1.0, x, 2.0 * x).item()):

@@ -71,7 +71,7 @@ def test_colour_above_the_floor_is_reported_without_a_variable():
 def test_a_fine_clock_counts_only_the_samples_that_were_logged(rng):
     """Of four samples of the clock one was logged: a residual of 2 mrad there is one of 2 mrad, and its noise the encoder's."""
     t, noise = np.arange(4000) * 0.005, 1e-3 * rng.normal(size=(1000, 1))
-    q = np.repeat(noise, 4, axis=0)  # what lies between logged samples is not measured
+    q = np.repeat(noise, 4, axis=0)  # noise between logged samples is not measured
     used = np.arange(4000) % 4 == 0
     record = LoopRecord("log", t, q, 0 * q, np.ones(4000), np.ones(4000), used, {}, every=4)
     residual = np.where(used, 2e-3, 0.0)[:, None, None]
