@@ -30,7 +30,7 @@ def mix(x, y, z):
     return [total, -turned, turned * turned - total, y, total, 0.0 * x, 2.5 + 0.0 * x]
 
 
-def traced() -> Tape:
+def build_tape() -> Tape:
     graph = Graph()
     x = build_inputs(graph, "x", np.array([0.3, 0.5, 0.7]))
     return Tape(graph, list(x), list(np.ravel(as_expression_array(mix(*x)))))
@@ -41,7 +41,7 @@ def test_a_tape_gives_the_numbers_of_array_code(run, rng, n: int) -> None:
     """Sums, products, quotients, signs, sines and cosines are those of NumPy, bit by bit, for any number of samples."""
     rows = rng.uniform(0.5, 2, (3, n))
     out = np.zeros((7, n + 5))[:, :n]
-    run(traced(), rows, out)
+    run(build_tape(), rows, out)
     assert_array_equal(out, np.array(mix(*rows)).reshape(7, n))
 
 
@@ -49,7 +49,7 @@ def test_a_tape_fills_a_part_of_wider_rows(run, rng) -> None:
     """Only the samples asked for are written, and the inputs stay as they are."""
     rows, out = rng.uniform(0.5, 2, (3, 70)), np.full((7, 200), np.nan)
     before = rows.copy()
-    run(traced(), rows, out[:, 100:170])
+    run(build_tape(), rows, out[:, 100:170])
     assert np.isfinite(out[:5, 100:170]).all() and np.isnan(out[:, :100]).all() and np.isnan(out[:, 170:]).all()
     assert np.isnan(out[5]).all()  # a row of zeros is left alone
     assert_array_equal(rows, before)
@@ -57,7 +57,7 @@ def test_a_tape_fills_a_part_of_wider_rows(run, rng) -> None:
 
 def test_threads_share_a_tape(run, rng) -> None:
     """A tape holds no numbers of a run, so runs in several threads at once give what one after the other gives."""
-    given, one = rng.uniform(0.5, 2, (8, 3, 4000)), traced()
+    given, one = rng.uniform(0.5, 2, (8, 3, 4000)), build_tape()
     apart, together = np.zeros((2, 8, 7, 4000))
     for rows, out in zip(given, apart, strict=True):
         run(one, rows, out)
