@@ -84,7 +84,7 @@ def test_tracing_and_building_wait_until_the_samples_justify_them(monkeypatch) -
     asked = []
     monkeypatch.setattr(tape, "_get_library", asked.append)
     assert find_tape("waits", tape.TRACE_FROM - 1, lambda: pytest.fail("it is traced early")) is None and not asked
-    found = find_tape("waits", tape.TRACE_FROM, traced)
+    found = find_tape("waits", tape.TRACE_FROM, build_tape)
     assert found is not None and found[1] is None and asked == [False]
     again = find_tape("waits", tape.BUILD_FROM, lambda: pytest.fail("it is traced twice"))
     assert again is not None and again[0] is found[0] and asked == [False, True]
@@ -94,7 +94,7 @@ def test_without_a_library_a_long_list_is_left_to_array_code(monkeypatch) -> Non
     """NumPy calls a function for each operation, so that array code is quicker where they are many."""
     monkeypatch.setattr(tape, "_get_library", lambda build: None)
     monkeypatch.setattr(tape, "MAX_IN_NUMPY", 3)
-    assert find_tape("long", tape.TRACE_FROM, traced) is None
+    assert find_tape("long", tape.TRACE_FROM, build_tape) is None
 
 
 def test_no_compiler_and_a_refusal_give_no_library(monkeypatch) -> None:
