@@ -75,7 +75,7 @@ def move(arm: Arm, stamps: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray
     L = np.tril(np.ones((n, n)))
     steps = int(np.ceil(stamps[-1] / STEP_S)) + 1
     apart = s.play > 0
-    q, v = commands[0].copy(), np.zeros(n)
+    q, v, before = commands[0].copy(), np.zeros(n), np.zeros(n)
     theta, w = q.copy(), np.zeros(n)
     goal, goal_speed = commands[0].copy(), np.zeros(n)
     late = max(1, round(s.torque_delay / STEP_S))
@@ -96,7 +96,8 @@ def move(arm: Arm, stamps: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray
             wanted = wanted + (begins[k + 1] - stamps[sent[k + 1]]) / STEP_S * (commands[sent[k + 1]] - wanted)
         goal, goal_speed = _follow(goal, goal_speed, wanted, s.acceleration)
         motor, speed = (theta, w) if apart else (q, v)
-        tau = _torque(s, goal - motor, speed)
+        tau = _torque(s, goal - motor, 1.5 * speed - 0.5 * before)  # speeds are half a step older than positions
+        before = speed.copy()
         if s.torque_delay > 0:
             tau, pipeline[k % late] = pipeline[k % late].copy(), tau
         phi, spin = L @ q, L @ v
