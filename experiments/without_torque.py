@@ -40,7 +40,7 @@ from tau_dyn.servo import LoopIdentification, diagnose_loop, identify_loop, simu
 from tau_dyn.servo.data import BASELINE, fit_coupled, keep_kinds  # noqa: E402
 from tau_dyn.servo.identification import predict  # noqa: E402
 from tau_dyn.servo.preparation import prepare_loop, read_loop_logs  # noqa: E402
-from tau_dyn.servo.records import START_S  # noqa: E402
+from tau_dyn.servo.records import WARM_UP_S  # noqa: E402
 from tau_dyn.servo.residual_structure import compute_noise_floor  # noqa: E402
 from tau_dyn.servo.waves import SPRING_STEP_S  # noqa: E402
 from tau_dyn.simulate import ServoLaw, build_servo_law, read_servo_law  # noqa: E402
@@ -187,8 +187,9 @@ def measure_noncentrality(arm: Robot, law: ServoLaw, logs: list[Log], clean: lis
     motions = predict(data, fit, given.kept)
     moved, measured, true = [], [], []
     for log, exact, kept, motion in zip(logs, clean, given.kept, motions, strict=True):
-        late = (log.t - log.t[0] > START_S) & (log.t <= kept.t[-1])
-        moved.append(interp1d(kept.t, motion.q, axis=0)(log.t[late]))
+        late = (log.t - log.t[0] > WARM_UP_S) & (log.t <= kept.t[-1])
+        stamps = kept.t if kept.apart is None else kept.t + kept.apart * kept.dt
+        moved.append(interp1d(stamps, motion.q, axis=0)(log.t[late]))
         for rows, one in ((measured, log), (true, exact)):
             rows.append(one.joint("q", arm.actuated)[late])
     moved, measured, true = (np.concatenate(rows) for rows in (moved, measured, true))

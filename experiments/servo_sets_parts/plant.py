@@ -96,10 +96,11 @@ def move(arm: Arm, stamps: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray
             wanted = wanted + (begins[k + 1] - stamps[sent[k + 1]]) / STEP_S * (commands[sent[k + 1]] - wanted)
         goal, goal_speed = _follow(goal, goal_speed, wanted, s.acceleration)
         motor, speed = (theta, w) if apart else (q, v)
-        tau = _torque(s, goal - motor, 1.5 * speed - 0.5 * before)  # speeds are half a step older than positions
-        before = speed.copy()
+        u = _follow_law(s, goal - motor)
         if s.torque_delay > 0:
-            tau, pipeline[k % late] = pipeline[k % late].copy(), tau
+            u, pipeline[k % late] = pipeline[k % late].copy(), u
+        tau = _drive(s, u, 1.5 * speed - 0.5 * before)  # speeds are half a step older than positions
+        before = speed.copy()
         phi, spin = L @ q, L @ v
         between = phi[:, None] - phi[None, :]
         M = L.T @ (A * np.cos(between)) @ L
@@ -135,10 +136,14 @@ def _follow(
     return np.where(arrives, wanted, goal + speed * STEP_S), np.where(arrives, 0.0, speed)
 
 
-def _torque(s: Servo, error: np.ndarray, speed: np.ndarray) -> np.ndarray:
+def _follow_law(s: Servo, error: np.ndarray) -> np.ndarray:
     error = np.sign(error) * np.maximum(np.abs(error) - s.dead_band, 0.0)
     u = np.clip(s.gain * error, -1.0, 1.0)
-    x = u * (1 - s.supply_sag * np.abs(u)) - s.back_emf * speed
+    return u * (1 - s.supply_sag * np.abs(u))
+
+
+def _drive(s: Servo, u: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    x = u - s.back_emf * speed
     return s.torque * np.sign(x) * np.abs(x) ** s.exponent
 
 

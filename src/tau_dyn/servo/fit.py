@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.servo.loop import simulate_loops
-from tau_dyn.servo.records import LoopRecord
+from tau_dyn.servo.records import LoopRecord, move_to_stamps
 from tau_dyn.servo.unknowns import LoopUnknowns, compute_stiffness
 from tau_dyn.servo.waves import Trials, Waves
 
@@ -67,7 +67,6 @@ class LoopFit:
         sigma: Residual rms of each joint (na,) [rad].
         loss: Sum of squares.
         iterations: Number of simulations of sensitivities.
-        step: Longest step of the simulated loops [s].
     """
 
     x: np.ndarray
@@ -75,7 +74,6 @@ class LoopFit:
     sigma: np.ndarray
     loss: float
     iterations: int
-    step: float
 
 
 class Slopes(NamedTuple):
@@ -104,7 +102,8 @@ class LoopProblem:
         """Prepare; records give the measured positions and the samples that are used."""
         n = len(waves.command)
         self.unknowns, self.waves = unknowns, waves
-        self.measured = stack_records([r.q for r in records], n)
+        self.measured = stack_records([r.measured for r in records], n)
+        self.apart = _stack_apart(records, n)
         self.used = np.stack([np.pad(r.used, (0, n - len(r.t))) for r in records], axis=-1)
         self.blocks = _number_blocks(records, n)
         self.count = np.maximum(self.used.sum(), 1)
@@ -151,17 +150,22 @@ class LoopProblem:
         """Return the problem corrected for the error of its steps and loads by the exact positions (N, na) at one trial."""
         other = copy(self)
         n = len(self.measured)
-        other.measured = self.measured - stack_records(exact, n) + simulate_loops(self.waves, trials)[:, :, 0]
+        other.measured = self.measured - stack_records(exact, n) + self._simulate(trials)[:, :, 0]
         return other
 
+    def _simulate(self, trials: Trials) -> np.ndarray:
+        """Return positions (N, na, C, S) at the stamps."""
+        q = simulate_loops(self.waves, trials)
+        return q if self.apart is None else move_to_stamps(q, self.apart)
+
     def simulate(self, x: np.ndarray) -> np.ndarray:
-        """Return positions (N, na, C, S) at vectors (n, C)."""
+        """Return positions (N, na, C, S) at the stamps and at vectors (n, C)."""
         values, inertial = self.unknowns.unpack(x)
         per = max(1, MAX_ELEMENTS // self.measured.size)
         parts = []
         for k in range(0, x.shape[1], per):
             cut = {key: value[:, k : k + per] for key, value in values.items()}
-            parts.append(simulate_loops(self.waves, Trials(cut, inertial[:, k : k + per])))
+            parts.append(self._simulate(Trials(cut, inertial[:, k : k + per])))
         return np.concatenate(parts, axis=2) if len(parts) > 1 else parts[0]
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
@@ -211,6 +215,14 @@ class LoopProblem:
         return base, self.slopes
 
 
+def _stack_apart(records: Sequence[LoopRecord], n: int) -> np.ndarray | None:
+    """Return the distances of stamps from the clock (N, 1, 1, S); None if all stamps are even."""
+    if all(r.apart is None for r in records):
+        return None
+    rows = [np.zeros(len(r.t)) if r.apart is None else r.apart for r in records]
+    return np.stack([np.pad(x, (0, n - len(x))) for x in rows], axis=-1)[:, None, None, :]
+
+
 def stack_records(arrays: Sequence[np.ndarray], n: int) -> np.ndarray:
     """Return arrays (., na) side by side (n, na, S), their last rows repeated."""
     return np.stack([np.pad(x, ((0, n - len(x)), (0, 0)), mode="edge") for x in arrays], axis=-1)
@@ -254,7 +266,7 @@ def fit_loop(
     if u.n == 0:
         r = problem.residuals(x[:, None])[:, :, 0]
         sigma = np.sqrt((r**2).sum(axis=(0, 2)) / problem.count)
-        return LoopFit(x, np.zeros((0, 0)), sigma, 0.0, 0, problem.waves.step)
+        return LoopFit(x, np.zeros((0, 0)), sigma, 0.0, 0)
     last, damping, small = np.inf, 1.0 if first is None else 1e-3, 0
     near, worth = None, None
     for k in range(max_iterations):
@@ -267,7 +279,7 @@ def fit_loop(
         worth, weight, H, g = near.worth, near.weight, near.H, near.g
         loss = _sum_squares(near.residual[:, :, None], weight)[0] + prior.compute_cost(x)
         if not (np.isfinite(loss) and np.isfinite(H).all()):  # the simulated loop diverges from these start values
-            return LoopFit(x, np.full(H.shape, np.nan), np.full(len(weight), np.inf), np.inf, k + 1, problem.waves.step)
+            return LoopFit(x, np.full(H.shape, np.nan), np.full(len(weight), np.inf), np.inf, k + 1)
         held = _find_held(u, x, g)
         if first is not None and float(g @ (_step(H, g, 0.0, held, prior, x) - x)) < CONVERGED * u.n:
             break
@@ -290,7 +302,7 @@ def fit_loop(
             break
     end = _linearise(problem, x, prior, worth)
     covariance = _compute_covariance(end.H, end.scatter, _find_held(u, x, end.g))
-    return LoopFit(x, covariance, end.sigma, min(loss, last), k + 1, problem.waves.step)
+    return LoopFit(x, covariance, end.sigma, min(loss, last), k + 1)
 
 
 class LoopPrior:

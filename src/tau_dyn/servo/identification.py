@@ -96,7 +96,7 @@ def predict(data: LoopData, fit: LoopFit, records: Sequence[LoopRecord]) -> list
     """Return the motions of records at a solution, from their commands alone."""
     u = data.unknowns
     inertial = fit.x[u.n - data.space.n_unknowns :]
-    return simulate_coupled(data.space, inertial, u.with_values(fit.x), data.law, records, fit.step)
+    return simulate_coupled(data.space, inertial, u.with_values(fit.x), data.law, records, data.compute_exact_step(fit))
 
 
 def _judge_last_part(data: LoopData, progress: Callable[[str], None]):  # noqa: ANN202

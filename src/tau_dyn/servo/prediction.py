@@ -22,6 +22,7 @@ from tau_dyn.servo.records import (
     count_slow,
     fill_coupled_loads,
     fill_coupled_matrices,
+    move_to_stamps,
     refine,
     refine_record,
 )
@@ -45,8 +46,9 @@ step."""
 class SimulatedMotion(NamedTuple):
     """A log's motion, simulated, at its samples (N, na): positions of the measured side, the links' positions and speeds.
 
-    Accelerations are means over the time from half a sample before to half a sample after. `unsettled` is the time [s] from
-    which loads and motion did not converge, or None.
+    Positions of the measured side are at the log's stamps, the others on its clock. Accelerations are means over the time from
+    half a sample before to half a sample after. `unsettled` is the time [s] from which loads and motion did not converge, or
+    None.
     """
 
     q: np.ndarray
@@ -85,6 +87,8 @@ def simulate_coupled(
         a = (v[half[1]] - v[half[0]]) / ((half[1] - half[0])[:, None] * r.dt)
         first = relaxation.unsettled.get(k)
         shown, q, v, a = (x[:: fine.times] for x in (shown, q, v, a))
+        apart = records[k].apart
+        shown = shown if apart is None else move_to_stamps(shown, apart[:, None])
         found.append(SimulatedMotion(shown, q, v, a, None if first is None else first * r.dt))
     return found
 

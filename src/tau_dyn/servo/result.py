@@ -87,7 +87,7 @@ def _build_errors(joints, records, predicted, masks, whole) -> PositionErrors:  
     return PositionErrors(
         joints,
         tuple(r.name for r in records),
-        np.array([_rms((r.q - p)[m]) for r, p, m in pairs]),
+        np.array([_rms((r.measured - p)[m]) for r, p, m in pairs]),
         np.array([int(m.sum()) for m in masks]),
         np.array([_rms((r.q - r.q[m].mean(axis=0) if m.any() else r.q)[m]) for r, _, m in pairs]),
         np.array([_rms((r.q - r.goal)[m]) for r, _, m in pairs]),

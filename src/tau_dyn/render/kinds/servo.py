@@ -96,7 +96,7 @@ def _list_views(found: LoopIdentification) -> Iterator[r.View]:
         for k, joint in enumerate(found.model.robot.actuated):
             if (given := given + 1) > _MAX_VIEWS:
                 return
-            q, p = record.q[:, k], predicted[:, k]
+            q, p = record.measured[:, k], predicted[:, k]
             both = r.Curve("measured", "measured", q), r.Curve("simulated", "predicted", p)
             rest = (r.Curve("residual", "residual", q - p),)
             strips = (
