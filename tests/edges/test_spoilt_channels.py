@@ -102,11 +102,14 @@ def test_a_joint_without_usable_samples_is_not_called_perfect(log, truth) -> Non
 
 
 def test_a_joint_that_is_missed_is_not_hidden_behind_a_heavy_one(log, truth) -> None:
-    """All joints together are told to 2 %, one of them to 90 %: nobody is told that force is predicted well."""
+    """All joints together are told to 2 %, one of them to 90 %: a force of noise is called noise, another one unexplained."""
     rng = np.random.default_rng(2)
     robot = load_robot_from_urdf(SLIDES, "slides")
     noise = {"q_slow": 0.1 * np.sin(3 * log.t) + 5e-6 * rng.standard_normal(log.n_samples),
              "tau_slow": 3 * rng.standard_normal(log.n_samples)}  # fmt: skip
     found = identify(robot, log.with_channels(**noise), model="asymmetric")
     assert found.train.relative_error_percent < 20
+    assert "The measured force is mostly noise at slow" in describe_verdict(found).sentence
+    noise["tau_slow"] = 3 * np.sin(11 * log.t) + 0.1 * rng.standard_normal(log.n_samples)
+    found = identify(robot, log.with_channels(**noise), model="asymmetric")
     assert "Too much of the force is unexplained at slow" in describe_verdict(found).sentence

@@ -49,6 +49,8 @@ _PEAK_SPEED = {"rad": 0.08, "m": 0.025}
 """Speed over which the peak falls to a third [rad/s or m/s]."""
 _MASS_ERROR = 0.01
 """Largest relative error of a mass in the arm's file, about the accuracy of manufacturers' data."""
+_GANTRY_MASS_ERROR = 0.1
+"""The same of the Gantry-Tau's."""
 _USUAL_SPEED = {"rad": 2.0, "m": 0.5}
 """Full speed if the file gives no limit, as in MJCF [rad/s or m/s]; that of common arms."""
 _ENCODER = {"rad": 2e-5, "m": 5e-6}
@@ -165,7 +167,10 @@ def make_gantry(seed: int) -> Made:
     joints, units = robot.actuated, robot.force_units
     effects = (CyclicRipple(joints[1:2], units[1:2], period=TOOTH), Stribeck(joints, units, speed=0.025))
     values = {f"{joints[1]}.ripple_sin": RIPPLE, **{f"{joint}.stribeck": value for joint, value in PEAK.items()}}
-    said = f"a ripple of {RIPPLE:g} N every {1e3 * TOOTH:g} mm on cart2, and Stribeck friction on all carts"
+    said = (
+        f"a ripple of {RIPPLE:g} N every {1e3 * TOOTH:g} mm on cart2, Stribeck friction on all carts, and masses up to "
+        f"{100 * _GANTRY_MASS_ERROR:g} % off the robot file's"
+    )
     sensors = {"encoder_noise": 5e-6, "force_noise": 5.0}
     truth = _extend(build_true_model(robot, seed), effects, values)
     return Made(robot, truth, sensors, ("cyclic_ripple", "stribeck"), said, "gantry_tau")
@@ -175,8 +180,8 @@ def build_true_model(robot: Robot, seed: int) -> Model:
     """Return the simulated Gantry-Tau: friction of Table 6.1, and masses that differ from the nominal ones by up to 10 %."""
     import numpy as np
 
-    rng = np.random.default_rng(seed)
-    values = {p.name: p.value * rng.uniform(0.9, 1.1) for p in robot.parameters if p.name.endswith(".mass")}
+    rng, off = np.random.default_rng(seed), _GANTRY_MASS_ERROR
+    values = {p.name: p.value * rng.uniform(1 - off, 1 + off) for p in robot.parameters if p.name.endswith(".mass")}
     for joint, row in zip(robot.actuated, TABLE_6_1, strict=True):
         values |= {f"{joint}.{quantity}": value for quantity, value in zip(_QUANTITIES, row, strict=True)}
     return _extend(_with_friction(robot), (), values)
@@ -246,8 +251,8 @@ def make_arm(robot: Robot, call: str, seed: int) -> Made:
     effect = Stribeck((joint,), (unit,), speed=_PEAK_SPEED[robot.position_units[stiff]])
     centre = ", ".join(f"{x:g}" for x in PAYLOAD_CENTRE)
     said = (
-        f"a payload of {payload:g} kg at ({centre}) m in the frame of {robot.model.names[carrier.joint_id]}, and Stribeck "
-        f"friction of {peak:.3g} {unit} in {joint}"
+        f"a payload of {payload:g} kg at ({centre}) m in the frame of {robot.model.names[carrier.joint_id]}, Stribeck "
+        f"friction of {peak:.3g} {unit} in {joint}, and masses up to {100 * _MASS_ERROR:g} % off the robot file's"
     )
     encoder = [_ENCODER[unit] for unit in robot.position_units]
     sensors = {"encoder_noise": encoder, "force_noise": (_GEARED["noise"] * effort).tolist(), "tool": False}

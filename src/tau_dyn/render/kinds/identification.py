@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from tau_dyn import results as r
-from tau_dyn.evidence import MAX_MISSED_SHARE
+from tau_dyn.evidence import MAX_MISSED_SHARE, MIN_STRUCTURED_SHARE, find_poor_fits
 from tau_dyn.identify import ForceErrors, Identification
 from tau_dyn.render.kinds import fit_quality
 from tau_dyn.render.kinds.parameter_rows import (
@@ -342,8 +342,7 @@ def describe_verdict(found: Identification, truth: Mapping[str, float] | None = 
         return _judge("care", f"Cut the log where it changes and fit its parts: {times}.")
     rough = {j: p for j, p in zip(judged.joints, judged.per_joint_percent, strict=True) if p > POOR_PERCENT}
     if rough:
-        missed = r.format_list([f"{joint} ({r.format_percent(p)})" for joint, p in rough.items()], 3)
-        return _judge("care", f"Too much of the force is unexplained at {missed}.")
+        return _judge("care", _describe_rough_joints(found, rough))
     if judged.unjudged:
         return _judge("care", f"The error at {r.format_list(judged.unjudged, 3)} is unknown: no sample could be used.")
     if found.holdout is None:
@@ -374,6 +373,16 @@ def describe_verdict(found: Identification, truth: Mapping[str, float] | None = 
             "good", "Use it for feedforward and simulation; residuals are not white, so estimates may be biased."
         )
     return _judge("good", "Use it for feedforward and simulation; every identified parameter is determined.")
+
+
+def _describe_rough_joints(found: Identification, rough: Mapping[str, float]) -> str:
+    """Return a sentence on the joints with large errors [%]: those that a model misses, or else those that measure noise."""
+    fits = find_poor_fits(found.estimate.regression, found.estimate.residuals(), MIN_STRUCTURED_SHARE)
+    poor = [fit.joint for fit in fits if fit.joint in rough]
+    listed = r.format_list([f"{joint} ({r.format_percent(rough[joint])})" for joint in poor or rough], 3)
+    if poor:
+        return f"Too much of the force is unexplained at {listed}."
+    return f"The measured force is mostly noise at {listed}; move it faster or with a load to determine its parameters."
 
 
 _judge = partial(r.judge, badges=BADGES)
