@@ -91,12 +91,14 @@ def move(arm: Arm, stamps: np.ndarray, commands: np.ndarray) -> tuple[np.ndarray
             after = stamps[row] - k * STEP_S
             links[row], rotors[row] = q + after * v, theta + after * w
             row += 1
-        wanted = commands[sent[k]]
-        if sent[k + 1] != sent[k]:  # the mean about it
-            wanted = wanted + (begins[k + 1] - stamps[sent[k + 1]]) / STEP_S * (commands[sent[k + 1]] - wanted)
-        goal, goal_speed = _follow(goal, goal_speed, wanted, s.acceleration)
         motor, speed = (theta, w) if apart else (q, v)
-        u = _follow_law(s, goal - motor)
+        share = (begins[k + 1] - stamps[sent[k + 1]]) / STEP_S if sent[k + 1] != sent[k] else 0.0
+        old, new = commands[sent[k]], commands[sent[k + 1]]
+        if s.acceleration or not share:
+            goal, goal_speed = _follow(goal, goal_speed, old + share * (new - old), s.acceleration)
+            u = _follow_law(s, goal - motor)
+        else:  # the mean of the outputs about a new command
+            goal, u = new, (1 - share) * _follow_law(s, old - motor) + share * _follow_law(s, new - motor)
         if s.torque_delay > 0:
             u, pipeline[k % late] = pipeline[k % late].copy(), u
         tau = _drive(s, u, 1.5 * speed - 0.5 * before)  # speeds are half a step older than positions

@@ -135,7 +135,7 @@ _FIRST = {
     "drive_exponent": -0.1,
 }
 """First changes of entries from their null values."""
-_PROFILE = 20.0  # rad/s^2; half of the highest that Feetech's servos can be set to
+_PROFILES = (20.0, 10.0)  # rad/s^2; half and a quarter of the highest that Feetech's servos can be set to
 _FIRST_STICTION = 3e-3  # as a share of the loop's stiffness
 _PLAYS = (0.005, 0.03)  # rad; of gears, and of worn hobby servos
 DELAYS = (0.002, 0.008)  # s; a step of a servo's bus, and several
@@ -171,9 +171,9 @@ def list_starts(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str) -> li
         return [{entry: np.full(na, width), "coulomb": f} for width, f in zip(_DEAD_BANDS, rest, strict=True)]
     if cause == "goal_profile":
         known, passes = data.law.values[entry], data.law.values["steps_pass"]
-        first = np.where(np.isfinite(known), known, _PROFILE)
+        firsts = [np.where(np.isfinite(known), known, limit) for limit in _PROFILES]
         forms = [passes] if np.any(passes) or np.any(np.isfinite(known)) else [np.ones(na), np.zeros(na)]
-        return [{entry: first, "steps_pass": np.array(form)} for form in forms]
+        return [{entry: first, "steps_pass": np.array(form)} for first in firsts for form in forms]
     if cause == "stiction":
         return [{entry: values[entry] + _FIRST_STICTION * compute_stiffness(values)}]
     return [{entry: np.array(data.law.values[entry]) + _FIRST.get(entry, 0.0)}]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +21,8 @@ from tau_dyn.simulate import COMMANDS, ServoLaw
 BASELINE = ("armature", "coulomb", "viscous", "offset")
 """Entries of a simulation before any cause, which are fitted first."""
 _ITERATIONS = 6  # from a solution of nearly the same problem
+_FIRST_ITERATIONS = 10  # from a start, before it is compared with others
+_LESS_FRICTION = 0.3  # share of Coulomb friction with which a fit also starts
 EXACT_STEP_S = 5e-4
 """Shortest step of exact motions [s]."""
 STEP_PER_ROOT = 0.022
@@ -228,7 +232,7 @@ def fit_coupled(
     last = None
     if fit is None:
         last = data.build_problem()
-        fit = fit_loop(last, progress)
+        fit = fit_from_starts(last, progress)
     large = is_large(fit)
     if large and not data.unknowns.is_flexible:
         return data, fit
@@ -255,6 +259,31 @@ def fit_coupled(
         if np.log(whole.sigma / fit.sigma).sum() <= 0:
             data, fit = data.with_exact_motions(whole), whole
     return measured if large and np.any(fit.sigma > measured[1].sigma) else (data, fit)
+
+
+def fit_from_starts(problem: LoopProblem, progress: Callable[[str], None]) -> LoopFit:
+    """Return the fit of smallest residual from several starts, if the residual of the first one is large.
+
+    A joint that static friction holds in the simulation, or that moves at another time than in the log, has no slope towards
+    the solution: fits start again with less Coulomb friction and without the screened delay.
+    """
+    fit, u = fit_loop(problem, progress), problem.unknowns
+    if not is_large(fit):
+        return fit
+    lower: dict[str, list[float]] = {"coulomb": [1.0, _LESS_FRICTION], "command_delay": [1.0, 0.0]}
+    shares = [lower.get(kind, [1.0]) for kind in u.kinds]
+    start, fits = u.pack(), [fit]
+    for row in list(product(*shares))[1:]:
+        values = {
+            kind: np.where(free, share * u.values[kind], u.values[kind])
+            for kind, share, free in zip(u.kinds, row, u.free, strict=True)
+        }
+        other = copy(problem)
+        other.unknowns = replace(u, values={**u.values, **values})
+        if np.any(other.unknowns.pack() != start):
+            near = fit_loop(other, progress, _FIRST_ITERATIONS)
+            fits.append(fit_loop(problem, progress, first=near.x))
+    return min(fits, key=lambda one: float(np.log(one.sigma).sum()))
 
 
 def _is_alike(sigma: np.ndarray, before: np.ndarray, share: float) -> bool:

@@ -442,11 +442,19 @@ _NO_INFORMATION = 1e-12
 
 
 def _compute_covariance(H: np.ndarray, scatter: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """Return the sandwich covariance (n, n), without the unknowns at bounds and those on which the logs have no information."""
+    """Return the sandwich covariance (n, n), without the unknowns at bounds and those on which the logs have no information.
+
+    It is scaled to the standard errors of stationary noise where those are larger: where few blocks determine an unknown, their
+    residuals follow the fit, and the sandwich alone is too small.
+    Reference: Angrist & Pischke 2009, 8.1.
+    """
     loose = np.flatnonzero(~held & (np.diag(H) > _NO_INFORMATION))
     out = np.zeros_like(H)
     A = H[np.ix_(loose, loose)]
     scale = np.sqrt(np.diag(A))
     inverse = np.linalg.pinv(A / scale[:, None] / scale[None, :], rcond=1e-10) / scale[:, None] / scale[None, :]
-    out[np.ix_(loose, loose)] = inverse @ scatter[np.ix_(loose, loose)] @ inverse
+    found = inverse @ scatter[np.ix_(loose, loose)] @ inverse
+    robust = np.sqrt(np.maximum(np.diag(found), 1e-300))
+    grow = np.maximum(1.0, np.sqrt(np.maximum(np.diag(inverse), 0.0)) / robust)
+    out[np.ix_(loose, loose)] = found * grow[:, None] * grow[None, :]
     return out

@@ -86,11 +86,21 @@ def simulate_coupled(
         half = np.clip(np.arange(len(q)) + np.array([[-around], [around]]), 0, len(q) - 1)
         a = (v[half[1]] - v[half[0]]) / ((half[1] - half[0])[:, None] * r.dt)
         first = relaxation.unsettled.get(k)
-        shown, q, v, a = (x[:: fine.times] for x in (shown, q, v, a))
-        apart = records[k].apart
-        shown = shown if apart is None else move_to_stamps(shown, apart[:, None])
+        shown = _pick_stamps(shown, records[k], fine.times)
+        q, v, a = (x[:: fine.times] for x in (q, v, a))
         found.append(SimulatedMotion(shown, q, v, a, None if first is None else first * r.dt))
     return found
+
+
+def _pick_stamps(q: np.ndarray, record: LoopRecord, times: int) -> np.ndarray:
+    """Return positions (N, na) at a record's stamps from positions at `times` samples for each of its own."""
+    if record.apart is None:
+        return q[::times]
+    at = np.clip(times * (np.arange(len(record.t)) + record.apart), 0, len(q) - 1)
+    near = np.rint(at).astype(int)
+    apart = np.zeros(len(q))
+    apart[near] = at - near
+    return move_to_stamps(q, apart[:, None])[near]
 
 
 def differentiate_coupled(
