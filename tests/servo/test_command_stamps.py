@@ -131,3 +131,5 @@ def test_the_start_of_a_log_in_motion_is_left_out(rng):
         q = q + 1e-4 * rng.normal(size=len(t))
         record = build_record(Log(t, {"cmd_j1": q, "q_j1": q}, name="start.csv"))
         assert int(np.argmax(record.used)) == first
+    short = build_record(Log(t[:100], {"cmd_j1": np.sin(t[:100]), "q_j1": np.sin(t[:100])}, name="short.csv"))
+    assert short.used.all()

@@ -42,6 +42,8 @@ WARM_UP_S = 1.0
 that begins at rest instead of at 1 rad/s is still 0.6 mrad off after four of them, and 0.01 mrad after eight."""
 MAX_WARM_UP = 0.1
 """Largest share of a log that is left out at its start."""
+MIN_WHOLE_S = 3.0
+"""Duration from which a log leaves out its start [s]: shorter ones answer single steps, which their start shows."""
 EARLY_S = 0.15
 """Time in which a joint has to move for its log to begin in motion [s]: two time constants of a servo's loop."""
 MAX_SUPPLY = 10.0
@@ -199,8 +201,9 @@ def _build_record(model: Model, law: ServoLaw, log: Log, exclude: Sequence[str])
         apart = (log.t[near] - t) / dt
         used = (np.abs(apart) <= 0.5).astype(float)
         apart, at_stamps = used * apart, np.where(used[:, None] > 0, q[near], q_clock)
-    if _is_moving(log, joints):
-        used[t - t[0] < min(WARM_UP_S, MAX_WARM_UP * (t[-1] - t[0]))] = 0
+    length = t[-1] - t[0]
+    if length > MIN_WHOLE_S and _is_moving(log, joints):
+        used[t - t[0] < min(WARM_UP_S, MAX_WARM_UP * length)] = 0
     if law.supply:
         supply = np.interp(t, log.t, _get_column(log, law.supply, MAX_SUPPLY * law.nominal_supply)) / law.nominal_supply
     if law.enabled:
