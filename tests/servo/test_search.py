@@ -12,7 +12,7 @@ from tau_dyn.servo import cause_search, data as servo_data, fit
 from tau_dyn.servo.by_gain import RESONANCES_HZ, list_starts
 from tau_dyn.servo.cause_search import LoopSearch, TriedCause, search_causes
 from tau_dyn.servo.data import BASELINE, LOADS_ANEW, MAX_SETTLINGS, fit_coupled, fit_precisely, keep_kinds
-from tau_dyn.servo.fit import LoopPrior, _step
+from tau_dyn.servo.fit import LoopPrior, _compute_covariance, _step
 from tau_dyn.servo.preparation import prepare_loop, read_loop_logs
 from tau_dyn.servo.waves import SPRING_STEP_S
 
@@ -242,6 +242,14 @@ def test_exact_motions_are_not_sought_beyond_what_a_model_misses(monkeypatch, re
     data.build_problem, data.with_exact_motions = lambda: problem, lambda fit, with_loads: data
     fit_coupled(data, quiet, SimpleNamespace(sigma=np.array([residual]), x=np.zeros(1)))  # type: ignore[arg-type]
     assert len(ends) == fits
+
+
+@pytest.mark.parametrize(("scatter", "variance"), [(0.01, 1.0), (4.0, 4.0)])
+def test_standard_errors_are_at_least_those_of_stationary_noise(scatter, variance):
+    """Blocks whose gradients scatter less than white noise's do not shrink an interval; blocks that scatter more widen it."""
+    H = np.array([[4.0, 1.0], [1.0, 9.0]])
+    found = _compute_covariance(H, scatter * H, np.zeros(2, bool))
+    assert np.allclose(found, variance * np.linalg.inv(H))
 
 
 def test_a_step_ends_before_bodies_that_cannot_exist():
