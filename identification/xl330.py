@@ -3,9 +3,9 @@
     python identification/xl330.py [FOLDER]
 
 FOLDER holds `xl330/` of the data (by default `$TAU_DYN_DATA`). With a linear drive law the fits at each gain alone disagree, and
-what is missing is named; with the law that bends, every gain is predicted from the others. Of three laws, with friction by the
-load and a supply that sags or without, the one of smallest training residual predicts. A fit of all gains shows what the law
-itself can follow. The pendulum is weighed: its mass is fixed. Prints all of it.
+a warning names the missing entry. Three laws with a drive exponent are fitted: the controller file's, and two with further
+entries; the one with the smallest training residual predicts the gain that was left out. A fit of all gains measures the error
+of the law itself. The pendulum is weighed: its mass is fixed.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ def identify_at(logs: dict[str, list[Log]], train: list[str], held: list[str], l
 
 
 MORE = ((), ("carried_friction",), ("carried_friction", "supply_sag"))
-"""Entries that laws estimate beside those of the controller file."""
+"""Further entries that each law estimates."""
 
 
 def identify_best(logs: dict[str, list[Log]], train: list[str], held: list[str], law: ServoLaw) -> LoopIdentification:
-    """Return the identification of the law, with further entries or without, that follows the training logs best."""
+    """Return the identification whose law, with further entries or without, has the smallest training residual."""
     laws = [replace(law, estimated=law.estimated | set(more)) for more in MORE]
     found = [identify_at(logs, train, held, one) for one in laws]
     return min(found, key=lambda one: float(one.train.rms_per_joint[0]))

@@ -109,7 +109,20 @@ def test_a_joint_that_is_missed_is_not_hidden_behind_a_heavy_one(log, truth) -> 
              "tau_slow": 3 * rng.standard_normal(log.n_samples)}  # fmt: skip
     found = identify(robot, log.with_channels(**noise), model="asymmetric")
     assert found.train.relative_error_percent < 20
-    assert "The measured force is mostly noise at slow" in describe_verdict(found).sentence
+    assert "is noise of the measured force" in describe_verdict(found).sentence
     noise["tau_slow"] = 3 * np.sin(11 * log.t) + 0.1 * rng.standard_normal(log.n_samples)
     found = identify(robot, log.with_channels(**noise), model="asymmetric")
+    assert "Too much of the force is unexplained at slow" in describe_verdict(found).sentence
+
+
+def test_a_force_that_only_the_held_out_log_has_is_not_called_noise(log, truth) -> None:
+    """A joint is fitted to its noise, and a force acts on it in the held-out log alone: that force is unexplained."""
+    rng = np.random.default_rng(4)
+    robot = load_robot_from_urdf(SLIDES, "slides")
+    q = 0.1 * np.sin(3 * log.t) + 5e-6 * rng.standard_normal(log.n_samples)
+    noise = rng.standard_normal(log.n_samples)
+    weak = log.with_channels(q_slow=q, tau_slow=-4.5 * np.sin(3 * log.t) + 0.3 * noise)
+    pushed = log.with_channels(q_slow=q, tau_slow=-4.5 * np.sin(3 * log.t) + 0.3 * noise + 8 * np.sin(11 * log.t))
+    found = identify(robot, weak, holdout=pushed, model="asymmetric")
+    assert found.train.per_joint_percent[1] < 15
     assert "Too much of the force is unexplained at slow" in describe_verdict(found).sentence

@@ -8,8 +8,9 @@ from tests.servo.coupled import PlanarArms
 from tau_dyn.identify import Choices
 from tau_dyn.servo import identify_loop
 from tau_dyn.servo.data import Mixing
+from tau_dyn.servo.loads import InertialSpace, compute_load_waves
 from tau_dyn.servo.loop import simulate_motion
-from tau_dyn.servo.records import InertialSpace, build_records, build_waves, compute_load_waves
+from tau_dyn.servo.records import build_records, build_waves
 from tau_dyn.servo.simulation import read_values
 from tau_dyn.servo.waves import Trials
 from tau_dyn.simulate import ServoLaw

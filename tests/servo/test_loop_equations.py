@@ -14,8 +14,8 @@ from tau_dyn.model import Model
 from tau_dyn.robot import load_robot_from_urdf
 from tau_dyn.servo import simulate_loop_log
 from tau_dyn.servo.fit import count_worth
+from tau_dyn.servo.loads import InertialSpace, compute_load_waves
 from tau_dyn.servo.preparation import delay_command
-from tau_dyn.servo.records import InertialSpace, compute_load_waves
 from tau_dyn.servo.result import LoopParameter
 from tau_dyn.servo.simulation import read_values
 from tau_dyn.simulate import ServoLaw, Trajectory, build_servo_law

@@ -9,8 +9,9 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log
 from tau_dyn.robot import Robot
 from tau_dyn.servo import identify_loop, simulate_loop_log
+from tau_dyn.servo.loads import InertialSpace
 from tau_dyn.servo.prediction import simulate_coupled
-from tau_dyn.servo.records import InertialSpace, build_records
+from tau_dyn.servo.records import build_records
 from tau_dyn.servo.simulation import read_values
 from tau_dyn.simulate import ServoLaw, Trajectory
 

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tau_dyn.servo.loads import InertialSpace, compute_load_waves
 from tau_dyn.servo.loop import _simulate_in_numpy, simulate_loops, simulate_motion, solve_spring
 from tau_dyn.servo.prediction import simulate_coupled
-from tau_dyn.servo.records import InertialSpace, build_records, build_waves, compute_load_waves
+from tau_dyn.servo.records import build_records, build_waves
 from tau_dyn.servo.simulation import read_values
 from tau_dyn.servo.waves import Trials, Waves
 from tau_dyn.simulate import ServoLaw, build_servo_law

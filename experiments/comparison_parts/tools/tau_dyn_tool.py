@@ -29,8 +29,9 @@ def force(case):
 
 def servo(case):
     from tau_dyn.servo import diagnose_loop, identify_loop
+    from tau_dyn.servo.loads import InertialSpace
     from tau_dyn.servo.prediction import simulate_coupled
-    from tau_dyn.servo.records import InertialSpace, build_records
+    from tau_dyn.servo.records import build_records
     from tau_dyn.servo.simulation import read_values
     from tau_dyn.simulate import build_servo_law, read_servo_law
 

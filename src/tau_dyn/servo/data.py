@@ -12,8 +12,9 @@ import numpy as np
 
 from tau_dyn.model import Model
 from tau_dyn.servo.fit import FINE_DIFFERENCES, LoopFit, LoopProblem, Slopes, fit_loop, stack_records
+from tau_dyn.servo.loads import InertialSpace, LoadWaves, compute_load_waves
 from tau_dyn.servo.prediction import SimulatedMotion, differentiate_coupled, simulate_coupled
-from tau_dyn.servo.records import InertialSpace, LoadWaves, LoopRecord, build_waves, compute_load_waves, split_pieces
+from tau_dyn.servo.records import LoopRecord, build_waves, split_pieces
 from tau_dyn.servo.unknowns import LoopUnknowns
 from tau_dyn.servo.waves import MAX_STEP_S, SPRING_STEP_S, Trials
 from tau_dyn.simulate import COMMANDS, ServoLaw

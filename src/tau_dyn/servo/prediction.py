@@ -13,19 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from tau_dyn.mechanism import Mechanism
+from tau_dyn.servo.loads import InertialSpace, LoadWaves, count_slow, fill_coupled_loads, fill_coupled_matrices
 from tau_dyn.servo.loop import FINE_STEP_S, simulate_motion
-from tau_dyn.servo.records import (
-    InertialSpace,
-    LoadWaves,
-    LoopRecord,
-    build_waves,
-    count_slow,
-    fill_coupled_loads,
-    fill_coupled_matrices,
-    move_to_stamps,
-    refine,
-    refine_record,
-)
+from tau_dyn.servo.records import LoopRecord, build_waves, move_to_stamps, refine, refine_record
 from tau_dyn.servo.waves import JointCoupling, LoadRows, Trials
 from tau_dyn.simulate import ServoLaw
 

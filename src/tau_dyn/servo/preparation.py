@@ -30,7 +30,8 @@ from tau_dyn.robot import NOT_GIVEN, Robot
 from tau_dyn.servo.command_wiring import refuse_odd_commands
 from tau_dyn.servo.contact import Contact, find_contacts
 from tau_dyn.servo.data import LoopData
-from tau_dyn.servo.records import MOTION_HZ, WARM_UP_S, InertialSpace, LoopRecord, build_records, compute_load_waves
+from tau_dyn.servo.loads import InertialSpace, compute_load_waves
+from tau_dyn.servo.records import MOTION_HZ, WARM_UP_S, LoopRecord, build_records
 from tau_dyn.servo.unknowns import FRICTION, JOINT_UNITS, LoopUnknowns, build_unknowns, compute_stiffness
 from tau_dyn.servo.waves import MAX_STEP_S, SPRING_STEP_S
 from tau_dyn.simulate import COMMANDS, SERVO_ENTRIES, ServoLaw

@@ -10,8 +10,9 @@ from tau_dyn.exceptions import InputError
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.servo.doubts import list_unsettled
+from tau_dyn.servo.loads import InertialSpace
 from tau_dyn.servo.prediction import simulate_coupled
-from tau_dyn.servo.records import InertialSpace, LoopRecord
+from tau_dyn.servo.records import LoopRecord
 from tau_dyn.servo.unknowns import JOINT_UNITS
 from tau_dyn.simulate import ServoLaw, Trajectory
 

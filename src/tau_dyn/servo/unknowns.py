@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tau_dyn.servo.records import InertialSpace
+from tau_dyn.servo.loads import InertialSpace
 from tau_dyn.simulate import SERVO_ENTRIES, ServoLaw
 
 JOINT_UNITS = {"armature": "kg m^2", "coulomb": "N m", "viscous": "N m s/rad", "offset": "N m"}

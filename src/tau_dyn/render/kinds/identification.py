@@ -376,13 +376,18 @@ def describe_verdict(found: Identification, truth: Mapping[str, float] | None = 
 
 
 def _describe_rough_joints(found: Identification, rough: Mapping[str, float]) -> str:
-    """Return a sentence on the joints with large errors [%]: those that a model misses, or else those that measure noise."""
+    """Return a sentence on the joints with large errors [%]: those that a model misses, or else those with noise.
+
+    The residual of the training logs tells noise; a joint whose held-out error is much larger is missed, too.
+    """
+    trained = dict(zip(found.train.joints, found.train.per_joint_percent, strict=True))
     fits = find_poor_fits(found.estimate.regression, found.estimate.residuals(), MIN_STRUCTURED_SHARE)
-    poor = [fit.joint for fit in fits if fit.joint in rough]
-    listed = r.format_list([f"{joint} ({r.format_percent(rough[joint])})" for joint in poor or rough], 3)
-    if poor:
+    poor = {fit.joint for fit in fits}
+    missed = [joint for joint in rough if joint in poor or rough[joint] > OVERFIT * trained[joint]]
+    listed = r.format_list([f"{joint} ({r.format_percent(rough[joint])})" for joint in missed or rough], 3)
+    if missed:
         return f"Too much of the force is unexplained at {listed}."
-    return f"The measured force is mostly noise at {listed}; move it faster or with a load to determine its parameters."
+    return f"The error at {listed} is noise of the measured force; a faster motion or a load there determines more."
 
 
 _judge = partial(r.judge, badges=BADGES)
