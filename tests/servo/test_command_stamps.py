@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -9,6 +11,7 @@ from numpy.testing import assert_allclose
 from tau_dyn.log import Log
 from tau_dyn.model import Model
 from tau_dyn.servo import identify_loop
+from tau_dyn.servo.prediction import _pick_stamps
 from tau_dyn.servo.records import CLOCK_S, average_held_commands, build_records, move_to_stamps
 from tau_dyn.simulate import ServoLaw
 
@@ -97,6 +100,19 @@ def test_a_parabola_is_exact_at_stamps_between_samples():
     """Positions 1 + 2 t + 3 t^2 on a clock, moved by up to half a step, are those of the stamps."""
     t, apart = np.arange(5.0), np.array([0.0, 0.5, -0.5, 0.2, 0.0])
     assert_allclose(move_to_stamps(1 + 2 * t + 3 * t**2, apart), 1 + 2 * (t + apart) + 3 * (t + apart) ** 2)
+
+
+def test_a_motion_whose_acceleration_jumps_is_read_at_stamps_from_its_fine_samples():
+    """200 rad/s^2 from 12 ms on, on a clock of 5 ms: a parabola over it is 0.3 mrad off, one over steps of 0.5 ms 0.01 mrad."""
+    t, apart = 5e-3 * np.arange(6), np.array([0.0, 0.3, 0.4, -0.4, 0.4, 0.0])
+    record = SimpleNamespace(t=t, apart=apart)
+    fine = 5e-4 * np.arange(51)
+
+    def position(at: np.ndarray) -> np.ndarray:
+        return 100 * np.maximum(at - 0.01225, 0.0) ** 2
+
+    found = _pick_stamps(position(fine)[:, None], record, 10)
+    assert_allclose(found[:, 0], position(t + 5e-3 * apart), atol=1e-5)
 
 
 def build_record(log: Log):

@@ -191,6 +191,17 @@ def three():
     return replace(data, unknowns=keep_kinds(data, BASELINE), whole=True)
 
 
+def test_goal_profiles_start_from_two_accelerations_unless_the_law_has_one(three):
+    """10 and 20 rad/s^2, each with steps that pass and that do not; a law's own limit is the only start."""
+    fit: Any = SimpleNamespace(x=three.unknowns.pack())
+    starts = list_starts(three, three.unknowns, fit, "goal_profile")
+    found = {(float(s["acceleration_limit"][0]), float(s["steps_pass"][0])) for s in starts}
+    assert found == {(10.0, 0.0), (10.0, 1.0), (20.0, 0.0), (20.0, 1.0)} and len(starts) == 4
+    known = replace(three, law=three.law.with_values(acceleration_limit=np.full(3, 40.0)))
+    (start,) = list_starts(known, three.unknowns, fit, "goal_profile")
+    assert start["acceleration_limit"].tolist() == [40.0] * 3
+
+
 def test_trials_keep_what_bodies_do_to_a_motion(three, monkeypatch):
     """Kept where they were simulated, sensitivities to bodies and the others are the same as new ones; elsewhere nearly."""
     problem, x = three.build_problem(), three.unknowns.pack()

@@ -171,7 +171,8 @@ def list_starts(data: LoopData, u: LoopUnknowns, fit: LoopFit, cause: str) -> li
         return [{entry: np.full(na, width), "coulomb": f} for width, f in zip(_DEAD_BANDS, rest, strict=True)]
     if cause == "goal_profile":
         known, passes = data.law.values[entry], data.law.values["steps_pass"]
-        firsts = [np.where(np.isfinite(known), known, limit) for limit in _PROFILES]
+        limits = _PROFILES[:1] if np.all(np.isfinite(known)) else _PROFILES
+        firsts = [np.where(np.isfinite(known), known, limit) for limit in limits]
         forms = [passes] if np.any(passes) or np.any(np.isfinite(known)) else [np.ones(na), np.zeros(na)]
         return [{entry: first, "steps_pass": np.array(form)} for first in firsts for form in forms]
     if cause == "stiction":
