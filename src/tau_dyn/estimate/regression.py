@@ -304,50 +304,64 @@ class StoredRows:
         self.n_columns = n_columns
         self._file = tempfile.TemporaryFile(prefix="tau_dyn_")
         weakref.finalize(self, self._file.close)
-        self._places: list[list[int]] = []
+        self._pieces: list[list[list[_StoredArray]]] = []
 
     def begin(self) -> None:
         """Begin a new run."""
-        self._places.append([])
+        self._pieces.append([])
 
     def add(self, rows: RegressionRows) -> None:
         """Write a piece of the run that was begun last."""
-        self._file.seek(0, 2)
-        self._places[-1].append(self._file.tell())
-        for array in (rows.t, rows.usable, rows.y):
-            np.save(self._file, array)
+        arrays = [rows.t, rows.usable, rows.y]
         for k in range(rows.y.shape[1]):
             touching = np.flatnonzero(rows.W[:, k].any(axis=0))
-            np.save(self._file, touching)
-            np.save(self._file, rows.W[:, k, touching])
+            arrays += [touching, rows.W[:, k, touching]]
+        self._pieces[-1].append([self._write(array) for array in arrays])
 
     @property
     def runs(self) -> Sequence[Sequence[RegressionRows]]:
         """Every run as its pieces, read when they are asked for."""
-        return tuple(_StoredRun(self, places) for places in self._places)
+        return tuple(_StoredRun(self, pieces) for pieces in self._pieces)
 
-    def read(self, place: int) -> RegressionRows:
-        """Return the piece at a place in the file."""
-        self._file.seek(place)
-        t, usable, y = (np.load(self._file) for _ in range(3))
+    def read(self, piece: list[_StoredArray]) -> RegressionRows:
+        """Return a piece of the file."""
+        t, usable, y, *columns = (self._read(array) for array in piece)
         W = np.zeros((*y.shape, self.n_columns))
-        for k in range(y.shape[1]):
-            touching = np.load(self._file)
-            W[:, k, touching] = np.load(self._file)
+        for k, (touching, values) in enumerate(zip(columns[::2], columns[1::2], strict=True)):
+            W[:, k, touching] = values
         return RegressionRows(t, W, y, usable)
+
+    def _write(self, array: np.ndarray) -> _StoredArray:
+        self._file.seek(0, 2)
+        stored = _StoredArray(self._file.tell(), array.nbytes, array.dtype, array.shape)
+        self._file.write(array.tobytes())
+        return stored
+
+    def _read(self, stored: _StoredArray) -> np.ndarray:
+        self._file.seek(stored.place)
+        return np.frombuffer(self._file.read(stored.n_bytes), stored.dtype).reshape(stored.shape)
+
+
+class _StoredArray(NamedTuple):
+    """Where an array lies in the file, and what it is."""
+
+    place: int
+    n_bytes: int
+    dtype: np.dtype
+    shape: tuple[int, ...]
 
 
 class _StoredRun(Sequence[RegressionRows]):
     """One run's pieces."""
 
-    def __init__(self, stored: StoredRows, places: list[int]) -> None:
-        self._stored, self._places = stored, places
+    def __init__(self, stored: StoredRows, pieces: list[list[_StoredArray]]) -> None:
+        self._stored, self._pieces = stored, pieces
 
     def __len__(self) -> int:
-        return len(self._places)
+        return len(self._pieces)
 
     def __getitem__(self, index):
-        return self._stored.read(self._places[index])
+        return self._stored.read(self._pieces[index])
 
     def __iter__(self) -> Iterator[RegressionRows]:
-        return (self._stored.read(place) for place in self._places)
+        return (self._stored.read(piece) for piece in self._pieces)
