@@ -38,7 +38,7 @@ def find(seed: int, hidden=lambda q: 0 * q, noise=lambda rng, size: rng.standard
     for part in range(3):
         mine = TURNS == part
         records = [LoopRecord("log", x.t, x.q, x.command, x.supply, x.enabled, mine, {}) for x in logs]
-        values = np.stack([np.where(mine[:, None], e, 0.0) for e in residuals], axis=2)
+        values = np.stack([e[mine] for e in residuals], axis=2)
         parts.append(LoopResidual(records, values))
     return find_residual_structure(("j1",), parts, np.array([NOISE_RAD]), rng)
 
@@ -74,7 +74,7 @@ def test_a_fine_clock_counts_only_the_samples_that_were_logged(rng):
     q = np.repeat(noise, 4, axis=0)  # noise between logged samples is not measured
     used = np.arange(4000) % 4 == 0
     record = LoopRecord("log", t, q, 0 * q, np.ones(4000), np.ones(4000), used, {}, every=4)
-    residual = np.where(used, 2e-3, 0.0)[:, None, None]
+    residual = np.full((1000, 1, 1), 2e-3)
     parts = [LoopResidual([replace(record, used=used & (k == np.arange(4000) // 400 % 3))], residual) for k in range(3)]
     (run,) = build_residual_measurements(("j",), parts).runs
     usable = np.asarray(run.usable)[:, 0]

@@ -196,6 +196,27 @@ def test_compiled_and_array_loops_agree(entries, side):
     np.testing.assert_allclose(simulate_motion(waves, trials), _simulate_in_numpy(waves, trials, often), atol=1e-9)
 
 
+@pytest.mark.parametrize("compiled", ["1", "0"])
+def test_positions_are_those_at_the_stamps_of_chosen_samples(compiled, monkeypatch):
+    """Of two logs every third sample was measured, up to 0.4 steps beside the clock: its position is the parabola's there."""
+    monkeypatch.setenv("TAU_DYN_COMPILE", compiled)
+    arm, rng = build_arm(2), np.random.default_rng(0)
+    truth, law = build_truth(arm), build_law(arm)
+    records = build_records(truth, law, [record(arm, truth, law, k, 3.0) for k in range(2)])
+    loads = [compute_load_waves(InertialSpace.of(truth), *r.motion, r.dt) for r in records]
+    waves = build_waves(records, loads, law)
+    trials = Trials({key: value[:, None] for key, value in read_values(truth, law).items()}, np.zeros((0, 1)))
+    q = simulate_loops(waves, trials)
+    shown = np.stack([np.arange(3, 120, 3), np.arange(1, 118, 3)], axis=1)
+    apart = rng.uniform(-0.4, 0.4, waves.command[:, 0].shape)
+    found = simulate_loops(replace(waves, apart=apart, shown=shown), trials)
+    for log, at in enumerate(shown.T):
+        early, now, late = (q[at + step, :, 0, log] for step in (-1, 0, 1))
+        way = apart[at, log][:, None]
+        there = now + way * (late - early) / 2 + way**2 * (late - 2 * now + early) / 2
+        np.testing.assert_allclose(found[:, :, 0, log], there, rtol=0, atol=1e-12)
+
+
 @pytest.mark.parametrize("entries", [{}, {"joint_compliance": np.array([0.02, 0.0, 0.01]), "torque_delay": 0.013}])
 def test_compiled_and_array_steps_of_coupled_joints_agree(entries, monkeypatch):
     """All joints of two logs stepped at once, with a spring and a delay or without, move alike in compiled code and in numpy."""

@@ -2,14 +2,16 @@
 
 Every cause is fitted at all joints at once, together with all causes already added, because a joint's loop depends on its own
 parameters alone. Its score is its value divided by the value's standard error from the scatter of blocks of time. The best one
-at each joint is added, in rounds; causes that a later one makes superfluous are removed.
+at each joint is added, in rounds: first where it explains most, then at the joints that waited, which try their best ones again.
+Causes that a later one makes superfluous are removed.
 Reference: Liang & Zeger 1986 (blocks); Efroymson 1960 (forward and backward selection).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -29,13 +31,15 @@ TWIN_SHARE = 0.95
 """Share of the best cause's reduction of the residual from which another cause is indistinguishable from it here."""
 APART = 9.0
 """Twice the log-likelihood ratio from which two causes are distinguished: three standard errors."""
-MAX_ROUNDS = 4  # causes at one joint; each explains at least 3 %, and joints may wait for each other
-RIVAL_SHARE = 0.5
+MAX_ROUNDS = 4  # causes at one joint; each explains at least 3 %
+RIVAL_SHARE = 0.8
 """Share of the best cause's reduction of the residual, or of the least significant one, from which another cause may be the
 best."""
 TOGETHER = 0.5
 """Share of the best cause's reduction of its joint's residual from which other joints' causes are added with it. The rest wait,
 as the model error of a joint disturbs its neighbours."""
+FINALISTS = 2  # starts of a joint from which a search goes on
+FIRST_ITERATIONS = 2  # with which they are chosen
 WHITE_LAGS = 20  # samples over which residuals are compared
 _CHANCE = 4.0  # standard errors of an autocorrelation
 MAIN_SHARE = 0.5
@@ -80,40 +84,57 @@ def search_causes(data: LoopData, base: LoopFit, progress: Callable[[str], None]
     u, fit = data.unknowns, base
     taken: dict[tuple[str, int], tuple[float, tuple[str, ...]]] = {}
     refused: set[tuple[str, int]] = set()
-    restarted = False
-    for turn in range(MAX_ROUNDS + len(data.law.joints)):
+    waiting: dict[
+        int, list[str]
+    ] = {}  # joints whose cause waits for that of another joint, and the causes that it may be
+    tried: dict[str, TriedCause] = {}
+    restarted, turn = False, 0
+    while waiting or turn < MAX_ROUNDS:
         coarse, data = data, data.with_fine_steps(fit)
         if data is not coarse:
             fit = fit_loop(data.build_problem(u).with_finer_differences(), progress, first=fit.x)
         coloured = _find_coloured(data, u, fit)
         if not coloured.any():
             break
-        tried = _try_all(data, u, fit, coloured, lambda step, turn=turn: progress(f"round {turn + 1}: {step}"))
-        best: dict[int, tuple[str, float, tuple[str, ...]]] = {}
-        for j in np.flatnonzero(coloured).tolist():
+        turn += not waiting
+        joints = [j for j in np.flatnonzero(coloured).tolist() if j in waiting or not waiting]
+        tell = partial(_tell, progress, turn)
+        if waiting:
+            again = [c for c in tried if any(c in waiting[j] for j in joints)]
+            tried = _try_again(data, u, fit, {c: tried[c] for c in again}, tell)
+        else:
+            tried = _try_all(data, u, fit, joints, tell)
+        best: dict[int, dict[str, float]] = {}  # joints -> causes and their shares
+        for j in joints:
             shares = {
                 c: float(row.share[j])
                 for c, row in tried.items()
                 if row.share[j] > (MIN_SHARE if row.score[j] > MIN_SCORE else MAIN_SHARE) and (c, j) not in refused
             }
             if shares:
-                first = max(shares, key=lambda c: shares[c])
-                twins = tuple(c for c in shares if c != first and shares[c] > TWIN_SHARE * shares[first])
-                best[j] = (first, shares[first], twins)
+                best[j] = dict(sorted(shares.items(), key=lambda one: -one[1]))
+        if not best and waiting:
+            waiting = {}
+            continue
         if not best:
-            again = None if restarted else _restart_springs(data, u, fit, taken, progress)
-            if again is None:
+            better = None if restarted else _restart_springs(data, u, fit, taken, progress)
+            if better is None:
                 break
             restarted = True
-            u, fit, _ = _drop_superfluous(data, *again, taken, progress)
+            u, fit, _ = _drop_superfluous(data, *better, taken, progress)
             refused.clear()
             continue
-        chosen, starts, most = [], {}, max(share for _, share, _ in best.values())
-        for j, (cause, share, twins) in best.items():
-            if share >= TOGETHER * most:
-                chosen.append((cause, j))
-                starts[cause] = tried[cause].start
-                taken[cause, j] = (float(tried[cause].score[j]), twins)
+        chosen, starts, most = [], {}, max(max(shares.values()) for shares in best.values())
+        waiting = {}
+        for j, shares in best.items():
+            cause, *others = shares
+            if shares[cause] < TOGETHER * most:
+                waiting[j] = [c for c in shares if shares[c] > RIVAL_SHARE * shares[cause]]
+                continue
+            chosen.append((cause, j))
+            starts[cause] = tried[cause].start
+            twins = tuple(c for c in others if shares[c] > TWIN_SHARE * shares[cause])
+            taken[cause, j] = (float(tried[cause].score[j]), twins)
         u = free_causes(data, u, fit, chosen, starts)
         fit = fit_precisely(data.build_problem(u), progress)
         u, fit, dropped = _drop_superfluous(data, u, fit, taken, progress)
@@ -284,25 +305,47 @@ def compute_share_wanted(samples: int) -> float:
     return min(max(MIN_SHARE, _CHANCE / np.sqrt(samples)), 0.5)
 
 
-def _try_all(
-    data: LoopData, u: LoopUnknowns, fit: LoopFit, coloured: np.ndarray, progress: Callable[[str], None]
+def _tell(progress: Callable[[str], None], turn: int, step: str) -> None:
+    progress(f"round {turn}: {step.replace('_', ' ')}")
+
+
+def _try_again(
+    data: LoopData,
+    u: LoopUnknowns,
+    fit: LoopFit,
+    tried: Mapping[str, TriedCause],
+    progress: Callable[[str], None],
 ) -> dict[str, TriedCause]:
-    """Return the results of all causes; those that may be the best at a joint are repeated with all sensitivities simulated."""
+    """Return the results of causes from their best starts, with all sensitivities simulated."""
+    found = dict(tried)
+    for cause, row in tried.items():
+        progress(f"{cause} again")
+        found[cause] = _try(data, u, fit, cause, [row.start]) or row
+    return found
+
+
+def _try_all(
+    data: LoopData,
+    u: LoopUnknowns,
+    fit: LoopFit,
+    joints: Sequence[int],
+    progress: Callable[[str], None],
+) -> dict[str, TriedCause]:
+    """Return the results of all causes; those that may be added at a joint are repeated with all sensitivities simulated."""
     kept = data.build_problem(u).keep_inertial(fit.x)
     tried = {}
     for cause in LOOP_CAUSES:
-        progress(cause.replace("_", " "))
+        progress(cause)
         row = _try(data, u, fit, cause, list_starts(data, u, fit, cause), kept)
         if row is not None:
             tried[cause] = row
     if kept is None or not tried:
         return tried
     most = np.max([row.share for row in tried.values()], axis=0)
-    for cause, row in tried.items():
-        if np.any(coloured & (row.share > RIVAL_SHARE * np.maximum(most, MIN_SHARE))):
-            progress(f"{cause.replace('_', ' ')} again")
-            tried[cause] = _try(data, u, fit, cause, [row.start]) or row
-    return tried
+    least = RIVAL_SHARE * max(MIN_SHARE, TOGETHER * most[list(joints)].max())
+    first = [j for j in joints if most[j] > least]
+    again = {cause: row for cause, row in tried.items() if np.any(row.share[first] > RIVAL_SHARE * most[first])}
+    return tried | _try_again(data, u, fit, again, progress)
 
 
 def _try(
@@ -319,15 +362,23 @@ def _try(
     if there.all():
         return None
     places = [(cause, int(j)) for j in np.flatnonzero(~there)]
-    found = []
-    for start in starts:
+
+    def search(start: dict[str, np.ndarray], iterations: int) -> tuple[LoopUnknowns, LoopFit]:
         wide = free_causes(data, u, fit, places, {cause: start})
-        problem = data.build_problem(wide).with_inertial(kept)
-        found.append((wide, fit_loop(problem, max_iterations=TRY_ITERATIONS), start))
-    best = np.argmin([one.sigma for _, one, _ in found], axis=0)
-    start = {key: np.array([starts[k][key][j] for j, k in enumerate(best)]) for key in starts[0]}
+        return wide, fit_loop(data.build_problem(wide).with_inertial(kept), max_iterations=iterations)
+
+    def combine(chosen: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the chosen start (na,) of each joint."""
+        return {key: np.array([starts[k][key][j] for j, k in enumerate(chosen)]) for key in starts[0]}
+
+    if len(starts) > FINALISTS:
+        order = np.argsort([search(start, FIRST_ITERATIONS)[1].sigma for start in starts], axis=0)
+        starts = [combine(row) for row in order[:FINALISTS]]
+    found = [search(start, TRY_ITERATIONS) for start in starts]
+    best = np.argmin([one.sigma for _, one in found], axis=0)
+    start = combine(best)
     score, share = np.zeros((2, na))
-    for k, (wide, one, _) in enumerate(found):
+    for k, (wide, one) in enumerate(found):
         value, sigma = read_kind(wide, one, entry)
         away, sigma = measure_change(entry, value, data.law.values[entry], sigma)
         away = np.where(away < _get_least_change(entry, data.law.values[entry]), 0.0, away)
@@ -375,18 +426,24 @@ def _get_least_change(entry: str, null: np.ndarray) -> np.ndarray:
     return MIN_CHANGE * np.abs(1 / null if entry in LIMITS else null)
 
 
-def compute_limits(data: LoopData, base: LoopFit, cause: str) -> np.ndarray:
+def compute_limits(data: LoopData, base: LoopFit, cause: str, kept: list[np.ndarray] | None = None) -> np.ndarray:
     """Return the value (na,) that a cause must have at each joint to be found; infinite where these logs cannot show it.
 
     The value is its standard error next to the baseline's unknowns, from the sensitivities at its smallest start and residuals
     as coloured as the baseline's, times the threshold plus the margin for a power of 95 %; it also has to be enough to colour
     the residual. A profile's limit is found up to this value, which is zero if it never shows.
+
+    Args:
+        data: The logs.
+        base: The baseline's fit.
+        cause: The cause.
+        kept: Sensitivities to inertial unknowns near the baseline, joint by joint; None to simulate them.
     """
     na = len(data.law.joints)
     start = list_starts(data, data.unknowns, base, cause)[-1 if cause == SPRING else 0]
     entry = LOOP_CAUSES[cause].entries[0]
     wide = free_causes(data, data.unknowns, base, [(cause, j) for j in range(na)], {cause: start})
-    problem = data.build_problem(wide)
+    problem = data.build_problem(wide).with_inertial(kept)
     x = wide.pack()
     x[wide.n - data.space.n_unknowns :] = base.x[data.unknowns.n - data.space.n_unknowns :]
     _, slopes = problem.differentiate(x)

@@ -17,21 +17,45 @@ from tau_dyn.simulate import COMMANDS, SERVO_ENTRIES
 
 NAMES = (*SERVO_ENTRIES, "armature", "coulomb", "viscous", "offset")
 """Numbers of a joint in the order of the kernel's arguments."""
+LANES = 8
+"""Trials of a joint, or joints of a trial, that are stepped side by side."""
 _LIBRARIES = LibraryCache()
 _SETTLE = ctypes.CFUNCTYPE(ctypes.c_int64, *(4 * [ctypes.c_int64]))
 
 _SOURCE = r"""
+/* No option changes a result: lanes are stepped side by side by wide instructions where the machine has them */
+#if defined(__GNUC__) && !defined(__clang__)
+#pragma GCC optimize("O3", "no-math-errno", "no-trapping-math")
+#endif
 #include <math.h>
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
+#if defined(__GNUC__)
+#define INLINE static inline __attribute__((always_inline))
+#else
+#define INLINE static inline
+#endif
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__GLIBC__)
+#define WIDE __attribute__((target_clones("avx2", "default")))
+#else
+#define WIDE
+#endif
 enum {@NAMES@, COUNT};
 enum {POSITION, SPEED, OUTPUT};
+enum {LANES = @LANES@};
+#if defined(__GNUC__) && !defined(__clang__)
+#define RANGE(n, from, to) _Pragma("GCC unroll 1") for (int n = from; n < to; n++)  /* unrolled loops do not become wide ones */
+#else
+#define RANGE(n, from, to) for (int n = from; n < to; n++)
+#endif
+#define EACH(n) RANGE(n, 0, LANES)
+typedef double lanes_t[LANES];
 typedef struct {double position, speed;} goal_t;
 
-static inline double least_of(double a, double b) {return a < b ? a : b;}
-static inline double most_of(double a, double b) {return a > b ? a : b;}
-static inline double clip(double x, double low, double high) {return least_of(most_of(x, low), high);}
+INLINE double least_of(double a, double b) {return a < b ? a : b;}
+INLINE double most_of(double a, double b) {return a > b ? a : b;}
+INLINE double clip(double x, double low, double high) {return least_of(most_of(x, low), high);}
 
 /* Mean goal over a step: the delayed command is `before` for a part of it, then `first` */
 static double follow(goal_t *g, double first, double before, double part, double limit, double speed, double h,
@@ -57,6 +81,38 @@ static double follow(goal_t *g, double first, double before, double part, double
   return total / (double)finer;
 }
 
+/* Mean goals of all steps of one joint of one log, and what they depend on: trials that share it share the goals */
+typedef struct {int64_t joint, log; double delay, step, limit, speed, passes, *at;} goals_t;
+
+static int is_goal_of(const goals_t *x, const goals_t *y) {
+  return x->joint == y->joint && x->log == y->log && x->delay == y->delay && x->step == y->step && x->limit == y->limit
+    && x->speed == y->speed && x->passes == y->passes;
+}
+
+static void fill_goals(const goals_t *x, int64_t N, int64_t often, double h, int64_t finer, int told, const double *cmd,
+    const double *makes_step) {
+  double late = x->delay / h, whole = floor(late), part = late - whole;
+  int64_t behind = (int64_t)whole, here = 0, here_step = 0, there = 0, there_step = 0;
+  int profiled = told == POSITION && (isfinite(x->speed) || isfinite(x->limit));
+  if (behind < 0) {
+    here = -behind / often; here_step = -behind % often;
+    there = (-behind - 1) / often; there_step = (-behind - 1) % often;
+  }
+  goal_t g = {x->step > 0 ? x->step * nearbyint(cmd[0] / x->step) : cmd[0], 0.0};
+  for (int64_t at = 0; at < (N - 1) * often; at++) {
+    int64_t one = at - behind, now = one < 0 ? 0 : here < N ? here : N - 1, then = one < 1 ? 0 : there < N ? there : N - 1;
+    double first = cmd[now], before = cmd[then];
+    if (one >= 0 && ++here_step == often) {here_step = 0; here++;}
+    if (one >= 1 && ++there_step == often) {there_step = 0; there++;}
+    if (x->step > 0) {first = x->step * nearbyint(first / x->step); before = x->step * nearbyint(before / x->step);}
+    x->at[at] = first + part * (before - first);
+    if (profiled) {
+      int passes = makes_step[now] > 0 || (makes_step[then] > 0 && first == before);
+      x->at[at] = follow(&g, first, before, part, x->limit, x->speed, h, finer, passes && x->passes > 0);
+    }
+  }
+}
+
 /* Exact step of the twist between two masses: a and S of  S D+ = a S D - K d + force  (see loop.py) */
 static void spring(double K, double damping, double mu, double h, double *a, double *S) {
   double w2 = K / mu * h * h, sigma = 0.5 * damping / mu * h;
@@ -71,138 +127,168 @@ static void spring(double K, double damping, double mu, double h, double *a, dou
 /* Takes loads along the motion between two samples of a log; nonzero where the motion is that of the loads already */
 typedef int64_t (*settle_t)(int64_t log, int64_t begin, int64_t stop, int64_t turn);
 
-/* One joint of one log under one trial: numbers, waves, state, and what holds over a sample and over a step */
+/* Lanes stepped side by side: trials of one joint of one log, or, with coupling, the joints of one trial. A rigid joint's motor
+   moves as its link. Numbers, waves, state, and what holds over a sample and over a step */
 typedef struct {
-  double p[COUNT], h, part, old_part, *past;
-  int64_t behind, here, here_step, there, there_step, length, moved, finer;
-  int elastic, profiled;
-  const double *cmd, *makes_step, *way, *stiff, *ld, *in, *ldb, *inb, *changes;
-  const int64_t *which;
-  double *shown;
-  goal_t g;
-  double q, v, m, w, v_before, integral, next_load, mass, last;
+  double p[COUNT][LANES], h, *past[LANES];
+  int64_t length[LANES];
+  int elastic[LANES], n_elastic, late, bent, sticky, loops, integrates;  /* whether any lane has it */
+  int one_goal;
+  const double *goals[LANES], *way[LANES], *stiff[LANES], *ld[LANES], *in[LANES];
+  double *shown[LANES];
+  lanes_t q, v, m, w, v_before, integral, next_load, mass, last, old_part, fades;
   /* total is h over both inertias, S and open are the inverse steps of the twist's rate, firm and loose inverse mobilities */
-  double total, share, a, S, stuck, open, firm, loose, gap;
-  double rest0, slope, turn, full, loaded, last_loaded;  /* loaded: the link's inertia while the other joints give way */
-  double push, damping, friction, rest, q_next, v_next, m_next, w_next;
-} joint_t;
+  lanes_t total, share, a, S, stuck, open, firm, loose, gap;
+  /* loaded: the link's inertia while the other joints give way */
+  lanes_t rest0, slope, turn, way_now, stiff_now, full, loaded, last_loaded;
+  lanes_t push, damping, friction, rest, q_next, v_next, m_next, w_next;
+} block_t;
+
+/* exp(x) for x <= 0 */
+INLINE double decay(double x) {
+  x = most_of(x, -700.0);
+  double t = x * 1.4426950408889634 + 6755399441055744.0, k = t - 6755399441055744.0;  /* the sum rounds to an integer */
+  double r = (x - k * 6.93147180369123816490e-01) - k * 1.90821492927058770002e-10, y = 1.0 / 6227020800.0;
+  y = y * r + 1.0 / 479001600.0; y = y * r + 1.0 / 39916800.0; y = y * r + 1.0 / 3628800.0; y = y * r + 1.0 / 362880.0;
+  y = y * r + 1.0 / 40320.0; y = y * r + 1.0 / 5040.0; y = y * r + 1.0 / 720.0; y = y * r + 1.0 / 120.0;
+  y = y * r + 1.0 / 24.0; y = y * r + 1.0 / 6.0; y = y * r + 0.5; y = y * r + 1.0; y = y * r + 1.0;
+  union {double x; uint64_t bits;} power = {t};
+  power.bits = (power.bits + 1023) << 52;  /* the integer is in the last bits */
+  return y * power.x;
+}
 
 /* What the law and the friction do over a step, and its load at the middle: from the state before it */
-static void drive(joint_t *x, int64_t N, int64_t often, int64_t k, int64_t i, int on_motor, int told, double supply,
-    double straight) {
-  const double *p = x->p;
-  double h = x->h, half = 0.5 * h;
-  int64_t at = k * often + i, one = at - x->behind;
-  int64_t now = one < 0 ? 0 : x->here < N ? x->here : N - 1, then = one < 1 ? 0 : x->there < N ? x->there : N - 1;
-  double first = x->cmd[now], before = x->cmd[then];
-  if (one >= 0 && ++x->here_step == often) {x->here_step = 0; x->here++;}
-  if (one >= 1 && ++x->there_step == often) {x->there_step = 0; x->there++;}
-  if (p[command_step] > 0) {
-    first = p[command_step] * nearbyint(first / p[command_step]);
-    before = p[command_step] * nearbyint(before / p[command_step]);
+INLINE void drive(block_t *x, int64_t at, int64_t i, int on_motor, int told, double supply, double straight) {
+  double (*p)[LANES] = x->p, h = x->h, half = 0.5 * h, late = (double)i + 0.5;
+  const double *seen = on_motor ? x->m : x->q, *seen_speed = on_motor ? x->w : x->v, *turning = x->w;
+  lanes_t goal, e, u, slow, loses, y, push, lever;
+  if (x->one_goal) {double one = x->goals[0][at]; EACH(n) goal[n] = one;} else EACH(n) goal[n] = x->goals[n][at];
+  EACH(n) slow[n] = 0.0;
+  if (told == POSITION) EACH(n) {
+    double apart = goal[n] - (seen[n] + half * seen_speed[n]), band = p[dead_band][n];
+    double left = copysign(most_of(fabs(apart) - band, 0.0), apart);
+    e[n] = band > 0 ? left : apart;
+    u[n] = p[position_gain][n] * e[n] - p[derivative_gain][n] * seen_speed[n];
+  } else EACH(n) e[n] = u[n] = goal[n];
+  if (told != OUTPUT && x->loops) EACH(n) {  /* a loop of speed, alone or inside that of position */
+    double gain = p[speed_gain][n], wanted = clip(u[n], -p[speed_limit][n], p[speed_limit][n]) - seen_speed[n];
+    double error = e[n], force = u[n], mine = gain * wanted;
+    e[n] = gain > 0 ? wanted : error; u[n] = gain > 0 ? mine : force; slow[n] = gain > 0 ? gain : 0.0;
   }
-  double goal = first + x->part * (before - first);
-  if (x->profiled && told == POSITION) {
-    int passes = x->makes_step[now] > 0 || (x->makes_step[then] > 0 && first == before);
-    goal = follow(&x->g, first, before, x->part, p[acceleration_limit], p[speed_limit], h, x->finer, passes && p[steps_pass] > 0);
+  if (told != OUTPUT && x->integrates) EACH(n) {  /* to the middle; a speed's error over the last step is known by now */
+    double inner = p[speed_integral_gain][n], outer = p[integral_gain][n], has = p[speed_gain][n], most = p[limit][n];
+    double gain = has > 0 ? inner : outer, more = half * gain * (seen_speed[n] - x->v_before[n]);
+    double sum = x->integral[n] - (has > 0 ? more : 0.0);
+    x->v_before[n] = seen_speed[n];
+    u[n] += clip(sum + half * gain * e[n], -most, most);
+    x->integral[n] = clip(sum + gain * h * e[n], -most, most);
   }
-  int motor = on_motor && x->elastic;
-  double seen = motor ? x->m : x->q, seen_speed = motor ? x->w : x->v, turning = x->elastic ? x->w : x->v;
-  double middle = x->q + half * x->v, e = goal, u = goal, slow = 0.0, gain = p[integral_gain];
-  if (told == POSITION) {
-    e = goal - (seen + half * seen_speed);
-    if (p[dead_band] > 0) e = (e > 0 ? 1.0 : e < 0 ? -1.0 : 0.0) * most_of(fabs(e) - p[dead_band], 0.0);
-    u = p[position_gain] * e - p[derivative_gain] * seen_speed;
+  EACH(n) {
+    /* what torque is lost per unit of speed; a loop of speed's part where it acts at once and is not at its limit */
+    double most = p[limit][n], late = p[torque_delay][n], at_once = supply * slow[n];
+    int acts = (late <= 0) & (fabs(u[n]) < most);
+    loses[n] = p[back_emf][n] + (acts ? at_once : 0.0);
+    u[n] = clip(u[n], -most, most);
+    u[n] = u[n] * (1.0 - p[supply_sag][n] * fabs(u[n]));
   }
-  if (told != OUTPUT && p[speed_gain] > 0) {  /* a loop of speed, alone or inside that of position */
-    e = clip(told == POSITION ? u : goal, -p[speed_limit], p[speed_limit]) - seen_speed;
-    u = p[speed_gain] * e; slow = p[speed_gain]; gain = p[speed_integral_gain];
+  if (x->late) EACH(n) if (x->past[n]) {
+    double *past = x->past[n];
+    int64_t length = x->length[n];
+    if (at == 0) for (int64_t j = 0; j < length; j++) past[j] = u[n];
+    past[at % length] = u[n];
+    double newer = past[(at + 2) % length], older = past[(at + 1) % length];
+    u[n] = newer + x->old_part[n] * (older - newer);
   }
-  if (told != OUTPUT && gain != 0) {  /* to the middle of the step; a speed's error over the last one is known by now */
-    if (p[speed_gain] > 0) x->integral -= half * gain * (seen_speed - x->v_before);
-    x->v_before = seen_speed;
-    u += clip(x->integral + half * gain * e, -p[limit], p[limit]);
-    x->integral = clip(x->integral + gain * h * e, -p[limit], p[limit]);
+  EACH(n) {
+    y[n] = u[n] * supply - p[back_emf][n] * turning[n];
+    push[n] = x->full[n] * y[n]; lever[n] = x->full[n] * loses[n];
   }
-  /* what torque is lost per unit of speed; a loop of speed's part where it acts at once and is not at its limit */
-  double loses = p[back_emf] + (told != OUTPUT && !x->past && fabs(u) < p[limit] ? supply * slow : 0.0);
-  u = clip(u, -p[limit], p[limit]);
-  u = u * (1.0 - p[supply_sag] * fabs(u));
-  if (x->past) {
-    if (at == 0) for (int64_t n = 0; n < x->length; n++) x->past[n] = u;
-    x->past[at % x->length] = u;
-    double newer = x->past[(at + 2) % x->length], older = x->past[(at + 1) % x->length];
-    u = newer + x->old_part * (older - newer);
+  if (x->bent) EACH(n) if (p[drive_exponent][n] != 1.0) {
+    double grown = x->full[n] * pow(most_of(fabs(y[n]), straight), p[drive_exponent][n] - 1.0);
+    push[n] = grown * y[n];
+    lever[n] = grown * (fabs(y[n]) > straight ? p[drive_exponent][n] : 1.0) * loses[n];
   }
-  double y = u * supply - p[back_emf] * turning, push, lever;
-  if (p[drive_exponent] != 1.0) {
-    double grown = x->full * pow(most_of(fabs(y), straight), p[drive_exponent] - 1.0);
-    push = grown * y;
-    lever = grown * (fabs(y) > straight ? p[drive_exponent] : 1.0) * loses;
-  } else {push = x->full * y; lever = x->full * loses;}
-  if (y * u < 0) {push *= p[braking]; lever *= p[braking];}
-  double late = (double)i + 0.5;
-  x->rest = x->rest0 + late * x->slope + x->stiff[k] * (middle - x->way[k] - late * x->turn);
-  x->damping = 0.5 * (lever + p[viscous]);
-  x->friction = p[coulomb] + p[load_friction] * fabs(push) + p[carried_friction] * fabs(x->rest);
-  if (p[stiction] != 0) x->friction += p[stiction] * exp(-fabs(turning) / p[stiction_speed]);
-  x->push = push + (x->damping - p[viscous]) * turning;
+  EACH(n) {
+    double brake = p[braking][n], brakes = y[n] * u[n] < 0 ? brake : 1.0;
+    push[n] *= brakes;
+    x->rest[n] = x->rest0[n] + late * x->slope[n]
+      + x->stiff_now[n] * (x->q[n] + half * x->v[n] - x->way_now[n] - late * x->turn[n]);
+    x->damping[n] = 0.5 * (lever[n] * brakes + p[viscous][n]);
+    x->friction[n] = p[coulomb][n] + p[load_friction][n] * fabs(push[n]) + p[carried_friction][n] * fabs(x->rest[n]);
+    x->push[n] = push[n] + (x->damping[n] - p[viscous][n]) * turning[n];
+  }
+  if (x->sticky) EACH(n) x->friction[n] += p[stiction][n] * decay(-fabs(turning[n]) * x->fades[n]);
 }
 
-/* The state after a step under a load */
-static void turn_joint(joint_t *x, double rest) {
-  const double *p = x->p;
-  double half = 0.5 * x->h, friction = x->friction, damping = x->damping, v = x->v;
-  if (!x->elastic) {
-    double wanted = x->firm * v + x->push - rest, after = (wanted - (v > 0 ? friction : -friction)) / (x->firm + damping);
-    double path = v + after;
-    if (v == 0 || after * v <= 0) {  /* at rest, or comes to rest after a part of the step */
-      double moving = v != 0 ? v / (v - after) : 0.0;
-      wanted -= (x->firm - damping) * v;
-      if (v != 0 && p[stiction] != 0) friction += p[stiction] * (1.0 - exp(-fabs(v) / p[stiction_speed]));
-      after = (wanted - clip(wanted, -friction, friction)) / (x->firm / (1.0 - moving) + damping);
-      path = moving * v + (1.0 - moving) * after;
-    }
-    x->q_next = x->q + half * path; x->v_next = after;
-    return;
+/* The state of rigid lanes after a step under loads */
+INLINE void turn_rigid(block_t *restrict x, int from, int to, const double *restrict rest) {
+  double (*p)[LANES] = x->p, half = 0.5 * x->h;
+  lanes_t wanted, after, path;
+  int stop = 0, sticky = x->sticky;
+  RANGE(n, from, to) {
+    double v = x->v[n], friction = x->friction[n];
+    wanted[n] = x->firm[n] * v + x->push[n] - rest[n];
+    after[n] = (wanted[n] - (v > 0 ? friction : -friction)) / (x->firm[n] + x->damping[n]);
+    path[n] = v + after[n];
+    stop |= after[n] * v <= 0;
   }
-  double twist = x->m - x->q, rate = x->w - v, pull = 0.0, A = 1.0, S_now = x->open, inverse = x->loose, share = x->share;
-  if (fabs(twist) >= x->gap) {
-    pull = x->stuck * (twist - (twist > 0 ? x->gap : -x->gap)); A = x->a; S_now = x->S; inverse = x->firm;
+  if (stop) RANGE(n, from, to) {  /* at rest, or comes to rest after a part of the step */
+    double v = x->v[n], friction = x->friction[n], moving = v != 0 ? v / (v - after[n]) : 0.0;
+    double left = wanted[n] - (x->firm[n] - x->damping[n]) * v;
+    if (sticky) friction += v != 0 ? p[stiction][n] * (1.0 - decay(-fabs(v) * x->fades[n])) : 0.0;
+    double end = (left - clip(left, -friction, friction)) / (x->firm[n] / (1.0 - moving) + x->damping[n]);
+    int stops = after[n] * v <= 0;
+    path[n] = stops ? moving * v + (1.0 - moving) * end : path[n];
+    after[n] = stops ? end : after[n];
   }
-  double base = A * rate + ((1.0 - share) * rest - pull) * S_now, common = x->w - share * rate - x->total * rest;
-  double wanted = (common + share * base) * inverse + x->push;
+  RANGE(n, from, to) {
+    x->q_next[n] = x->m_next[n] = x->q[n] + half * path[n];
+    x->v_next[n] = x->w_next[n] = after[n];
+  }
+}
+
+/* The state of a lane with a spring or a play after a step under a load */
+static void turn_elastic(block_t *x, int n, double rest) {
+  double half = 0.5 * x->h, friction = x->friction[n], damping = x->damping[n], v = x->v[n], w = x->w[n];
+  double twist = x->m[n] - x->q[n], rate = w - v, pull = 0.0, A = 1.0, S_now = x->open[n], inverse = x->loose[n];
+  double share = x->share[n], gap = x->gap[n];
+  if (fabs(twist) >= gap) {
+    pull = x->stuck[n] * (twist - (twist > 0 ? gap : -gap)); A = x->a[n]; S_now = x->S[n]; inverse = x->firm[n];
+  }
+  double base = A * rate + ((1.0 - share) * rest - pull) * S_now, common = w - share * rate - x->total[n] * rest;
+  double wanted = (common + share * base) * inverse + x->push[n];
   double left = wanted - clip(wanted, -friction, friction);
-  x->w_next = left / (inverse + damping);
-  double motor_force = left - damping * x->w_next - (common + share * base) * inverse;
-  x->v_next = x->w_next - base - share * motor_force * S_now;
-  x->m_next = x->m + half * (x->w + x->w_next); x->q_next = x->q + half * (v + x->v_next);
+  x->w_next[n] = left / (inverse + damping);
+  double motor_force = left - damping * x->w_next[n] - (common + share * base) * inverse;
+  x->v_next[n] = x->w_next[n] - base - share * motor_force * S_now;
+  x->m_next[n] = x->m[n] + half * (w + x->w_next[n]); x->q_next[n] = x->q[n] + half * (v + x->v_next[n]);
 }
 
-static void take_inertia(joint_t *x, double least, double contact, double teeth) {
-  const double *p = x->p;
-  double h = x->h;
-  if (x->mass == x->last && x->loaded == x->last_loaded) return;
-  x->last = x->mass; x->last_loaded = x->loaded;
-  if (!x->elastic) {x->firm = most_of(x->mass + p[armature], least) / h; return;}
-  double motor = most_of(p[armature], least), link = most_of(x->mass, least), mu, share;
-  x->total = h / (motor + link); share = x->share = link / (motor + link); mu = motor * share;
-  x->stuck = p[joint_compliance] > 0 ? 1.0 / p[joint_compliance] : mu * (contact / h) * (contact / h);
+static void take_inertia(block_t *x, int n, double least, double contact, double teeth) {
+  double (*p)[LANES] = x->p, h = x->h;
+  if (x->mass[n] == x->last[n] && x->loaded[n] == x->last_loaded[n]) return;
+  x->last[n] = x->mass[n]; x->last_loaded[n] = x->loaded[n];
+  double motor = most_of(p[armature][n], least), link = most_of(x->mass[n], least), mu, share;
+  x->total[n] = h / (motor + link); share = x->share[n] = link / (motor + link); mu = motor * share;
+  int has_spring = p[joint_compliance][n] > 0;
+  double stuck = x->stuck[n] = has_spring ? 1.0 / p[joint_compliance][n] : mu * (contact / h) * (contact / h);
   /* the coupling itself takes `more` off the twist's inertia over the step */
-  double gives = p[joint_compliance] > 0 ? clip(x->loaded, least, link) : link;
+  double gives = has_spring ? clip(x->loaded[n], least, link) : link;
   double mine = motor * gives / (motor + gives), more = (mu - mine) / h;
-  double critical = 2.0 * sqrt(x->stuck * mine), slack = x->gap > 0 ? teeth * critical : 0.0;
-  spring(x->stuck, p[joint_compliance] > 0 ? most_of(p[joint_damping], slack) : critical, mine, h, &x->a, &x->S);
-  x->a = (x->a * x->S + more) / (x->S + more); x->S += more;
-  x->S = 1.0 / x->S; x->open = h / mu;
-  x->firm = 1.0 / (x->total + share * share * x->S); x->loose = 1.0 / (x->total + share * share * x->open);
+  double critical = 2.0 * sqrt(stuck * mine), slack = x->gap[n] > 0 ? teeth * critical : 0.0, a, S;
+  spring(stuck, has_spring ? most_of(p[joint_damping][n], slack) : critical, mine, h, &a, &S);
+  x->a[n] = (a * S + more) / (S + more); S += more;
+  x->S[n] = 1.0 / S; x->open[n] = h / mu;
+  x->firm[n] = 1.0 / (x->total[n] + share * share * x->S[n]); x->loose[n] = 1.0 / (x->total[n] + share * share * x->open[n]);
 }
 
 /* Inertias of links behind springs while the other joints give way: the inverse of the inverse mass matrix's diagonal, with the
    drives of rigid joints on their links */
-static void take_loaded_inertias(joint_t *all, int64_t J, const double *M, double *y, double *A) {
+static void take_loaded_inertias(block_t *all, int64_t J, const double *M, double *y, double *A) {
   for (int64_t n = 0; n < J; n++) for (int64_t j = 0; j <= n; j++) {
-    double sum = M[n * J + j] + (n == j && !all[n].elastic ? all[n].p[armature] : 0.0), own = sum;
+    const block_t *x = all + n / LANES;
+    int rigid = n == j && !x->elastic[n % LANES];
+    double sum = M[n * J + j] + (rigid ? x->p[armature][n % LANES] : 0.0), own = sum;
     for (int64_t i = 0; i < j; i++) sum -= A[n * J + i] * A[j * J + i];
     A[n * J + j] = j < n ? sum / A[j * J + j] : sqrt(most_of(sum, 1e-9 * own));
   }
@@ -213,66 +299,71 @@ static void take_loaded_inertias(joint_t *all, int64_t J, const double *M, doubl
       for (int64_t i = n; i < j; i++) sum -= A[j * J + i] * y[i];
       y[j] = sum / A[j * J + j]; square += y[j] * y[j];
     }
-    all[n].loaded = 1.0 / square;
+    all[n / LANES].loaded[n % LANES] = 1.0 / square;
   }
 }
 
-/* What a trial's inertial unknowns add to a row: only those that differ from the waves' own */
-static double combine(const double *by, const double *changes, const int64_t *which, int64_t K) {
-  double a = 0.0, b = 0.0;
-  int64_t i = 0;
-  for (; i + 2 <= K; i += 2) {a += by[which[i]] * changes[i]; b += by[which[i + 1]] * changes[i + 1];}
-  if (i < K) a += by[which[i]] * changes[i];
-  return a + b;
-}
-
-static void show(joint_t *x, int64_t k, int64_t plane, int on_motor, int with_speeds) {
-  x->shown[k] = on_motor && x->elastic ? x->m : x->q;
-  if (with_speeds) {x->shown[k + plane] = x->q; x->shown[k + 2 * plane] = x->v;}
+static void show(block_t *x, int lanes, int64_t k, int64_t plane, int on_motor, int with_speeds) {
+  const double *measured = on_motor ? x->m : x->q;
+  for (int n = 0; n < lanes; n++) {
+    x->shown[n][k] = measured[n];
+    if (with_speeds) {x->shown[n][k + plane] = x->q[n]; x->shown[n][k + 2 * plane] = x->v[n];}
+  }
 }
 
 /* Speeds' changes d of joints that slide on while the others rest: (M / h + own) d = force, by Cholesky */
-static void guess_changes(const joint_t *all, int64_t J, const double *M, double *d, double *A) {
+static void guess_changes(const block_t *all, int64_t J, const double *M, double *d, double *A) {
   double h = all->h;
   for (int64_t n = 0; n < J; n++) {
-    const joint_t *x = all + n;
-    if (x->elastic) continue;
-    double *row = A + n * J, own = x->firm + x->damping;
-    d[n] = x->v == 0 ? 0.0 : x->push - x->rest - (x->v > 0 ? x->friction : -x->friction) - x->damping * x->v;
-    for (int64_t j = 0; j <= n; j++) row[j] = x->v == 0 || all[j].v == 0 || all[j].elastic ? 0.0 : M[n * J + j] / h;
+    const block_t *x = all + n / LANES;
+    int l = (int)(n % LANES);
+    if (x->elastic[l]) continue;
+    double *row = A + n * J, own = x->firm[l] + x->damping[l], v = x->v[l];
+    d[n] = v == 0 ? 0.0 : x->push[l] - x->rest[l] - (v > 0 ? x->friction[l] : -x->friction[l]) - x->damping[l] * v;
+    for (int64_t j = 0; j <= n; j++) {
+      const block_t *other = all + j / LANES;
+      int rests = v == 0 || other->v[j % LANES] == 0 || other->elastic[j % LANES];
+      row[j] = rests ? 0.0 : M[n * J + j] / h;
+    }
     row[n] = own;
     for (int64_t j = 0; j <= n; j++) {
-      if (all[j].elastic) continue;
+      if (all[j / LANES].elastic[j % LANES]) continue;
       double sum = row[j];
-      for (int64_t i = 0; i < j; i++) if (!all[i].elastic) sum -= row[i] * A[j * J + i];
+      for (int64_t i = 0; i < j; i++) if (!all[i / LANES].elastic[i % LANES]) sum -= row[i] * A[j * J + i];
       if (j < n) row[j] = sum / A[j * J + j];
       else row[n] = sqrt(most_of(sum, 1e-12 * own));
     }
-    for (int64_t j = 0; j < n; j++) if (!all[j].elastic) d[n] -= row[j] * d[j];
+    for (int64_t j = 0; j < n; j++) if (!all[j / LANES].elastic[j % LANES]) d[n] -= row[j] * d[j];
     d[n] /= row[n];
   }
-  for (int64_t n = J - 1; n >= 0; n--) if (!all[n].elastic) {
-    for (int64_t j = n + 1; j < J; j++) if (!all[j].elastic) d[n] -= A[j * J + n] * d[j];
+  for (int64_t n = J - 1; n >= 0; n--) if (!all[n / LANES].elastic[n % LANES]) {
+    for (int64_t j = n + 1; j < J; j++) if (!all[j / LANES].elastic[j % LANES]) d[n] -= A[j * J + n] * d[j];
     d[n] /= A[n * J + n];
   }
 }
 
 /* A step of all joints by projected Gauss-Seidel: each one's load grows as the others' speeds change */
-static void turn_together(joint_t *all, int64_t J, double *M, int64_t k, int64_t i, int64_t sweeps, double settled) {
+static void turn_together(block_t *all, int64_t J, double *M, int64_t i, int64_t sweeps, double settled) {
   double h = all->h, late = (double)i + 0.5, *G = M + J * J, *d = G + J * J;
   for (int64_t n = 0; n < J; n++) {
-    double apart = all[n].q + 0.5 * h * all[n].v - all[n].way[k] - late * all[n].turn;
-    for (int64_t j = 0; j < J; j++) if (j != n) all[j].rest += G[j * J + n] * apart;
+    const block_t *x = all + n / LANES;
+    int l = (int)(n % LANES);
+    double apart = x->q[l] + 0.5 * h * x->v[l] - x->way_now[l] - late * x->turn[l];
+    for (int64_t j = 0; j < J; j++) if (j != n) all[j / LANES].rest[j % LANES] += G[j * J + n] * apart;
   }
-  for (int64_t n = 0; n < J; n++) d[n] = all[n].v_next;  /* a first guess for springs: they change as in the step before */
+  for (int64_t n = 0; n < J; n++) d[n] = all[n / LANES].v_next[n % LANES];  /* springs change as in the step before */
   guess_changes(all, J, M, d, d + J);
   for (int64_t turns = 0; turns < sweeps; turns++) {
     double most = 0.0;
     for (int64_t n = 0; n < J; n++) {
+      block_t *x = all + n / LANES;
+      int l = (int)(n % LANES);
       double pull = -M[n * J + n] * d[n];
       for (int64_t j = 0; j < J; j++) pull += M[n * J + j] * d[j];
-      turn_joint(all + n, all[n].rest + pull / h);
-      double change = all[n].v_next - all[n].v;
+      lanes_t rest;
+      rest[l] = x->rest[l] + pull / h;
+      if (x->elastic[l]) turn_elastic(x, l, rest[l]); else turn_rigid(x, l, l + 1, rest);
+      double change = x->v_next[l] - x->v[l];
       most = most_of(most, fabs(change - d[n]));
       d[n] = change;
     }
@@ -280,100 +371,131 @@ static void turn_together(joint_t *all, int64_t J, double *M, int64_t k, int64_t
   }
 }
 
-/* Trials of a joint that are stepped in turn: a step waits for its own divisions, so others fill the time */
-enum {LANES = 8};
+/* Positions at stamps `apart` steps from the clock, by the parabola through three samples */
+static void move_to_stamps(double *q, int64_t N, const double *apart) {
+  double before = q[0];
+  for (int64_t k = 0; k < N; k++) {
+    double now = q[k], after = q[k + 1 < N ? k + 1 : k];
+    q[k] = now + 0.5 * apart[k] * (after - before + apart[k] * (after - 2.0 * now + before));
+    before = now;
+  }
+}
 
-__attribute__((visibility("default")))
-int64_t loop_run(const int64_t *size, const double *dt, const double *start, const double *speed, const double *command,
+WIDE static int64_t run(const int64_t *size, const double *dt, const double *start, const double *speed, const double *command,
     const double *makes_step, const double *along, const double *load,
     const double *load_by, const double *inertia, const double *inertia_by,
     const double *stiffness, const double *supply, const double *enabled, const double *entries, const double *inertial,
-    const double *limits, const double *masses, const double *slopes, double *out, settle_t settle) {
+    const double *limits, const double *masses, const double *slopes, const double *apart, const double *shown, double *out,
+    settle_t settle) {
   int64_t N = size[0], J = size[1], C = size[2], L = size[3], K = size[4], often = size[5], every = size[10], R = size[11];
   int on_motor = (int)size[6], shown_on_motor = (int)size[7], held_load = (int)size[8], with_speeds = (int)size[9];
-  int64_t together = every ? J : LANES, window = size[12], sweeps = size[13], failed = 0;  /* together are stepped in turn */
-  int told = (int)size[14];
-  int64_t plane = J * C * L * N;
+  int64_t window = size[12], sweeps = size[13], chosen = size[17], failed = 0;
+  int told = (int)size[14], moves = (int)size[16];
+  int64_t plane = J * C * L * N, n_blocks = every ? (J + LANES - 1) / LANES : 1, rows = every ? J : LANES + 1;
+  double share = 1.0 / (double)often;
   double least = limits[0], straight = limits[1], contact = limits[2], teeth = limits[3], settled = limits[4];
-  joint_t *all = malloc(2 * (size_t)together * sizeof(joint_t)), *kept = all + together;
-  int64_t trials = every ? 1 : LANES;
-  double *M = malloc((size_t)(3 * J * J + J + trials * K) * sizeof(double)), *G = M + J * J;  /* and room for a step */
-  double *changes = M + 3 * J * J + J;
-  int64_t *which = malloc((size_t)(trials * K + 1) * sizeof(int64_t)), moved[LANES] = {0};
-  if (!all || !M || !which) {free(all); free(M); free(which); return 1;}
-  for (int64_t s = 0; s < L && !failed; s++) for (int64_t j0 = 0; j0 < J; j0 += every ? J : 1)
-  for (int64_t c0 = 0; c0 < C; c0 += trials) {
-    double h = dt[s] / (double)often;
+  block_t *all = calloc(2 * (size_t)n_blocks, sizeof(block_t)), *kept = all + n_blocks;
+  double *M = malloc((size_t)(3 * J * J + J) * sizeof(double)), *G = M + J * J;  /* and room for a step */
+  lanes_t *changes = malloc((size_t)(K + 1) * sizeof(lanes_t));
+  int64_t *which = malloc((size_t)(K + 1) * sizeof(int64_t));
+  goals_t *goals = malloc((size_t)rows * sizeof(goals_t));
+  double *sought = malloc((size_t)(rows * N * often) * sizeof(double));
+  double *whole = malloc((size_t)(LANES * N) * sizeof(double));  /* all positions, of which some are returned */
+  if (!all || !M || !changes || !which || !goals || !sought || !whole) failed = 1;
+  else for (int64_t n = 0; n < rows; n++) goals[n] = (goals_t){-1, -1, 0.0, 0.0, 0.0, 0.0, 0.0, sought + n * N * often};
+  for (int64_t s = 0; s < L && !failed; s++) for (int64_t j0 = 0; j0 < J && !failed; j0 += every ? J : 1)
+  for (int64_t c0 = 0; c0 < C && !failed; c0 += every ? 1 : LANES) {
     const double *sup = supply + s * N, *en = enabled + s * N;
-    int64_t lanes = trials < C - c0 ? trials : C - c0;
-    together = every ? J : lanes;
-    for (int64_t n = 0; n < lanes; n++) {
-      moved[n] = 0;
-      for (int64_t i = 0; i < K; i++) if (inertial[i * C + c0 + n] != 0.0) {
-        changes[n * K + moved[n]] = inertial[i * C + c0 + n]; which[n * K + moved[n]++] = i;
-      }
+    int64_t used = every ? J : C - c0 < LANES ? C - c0 : LANES, moved = 0, last = N;
+    for (int64_t k = 0; k < chosen; k++) {  /* no log is simulated beyond the last position that is returned */
+      int64_t end = (int64_t)shown[s * chosen + k] + 2;
+      if (k == 0 || end > last) last = end;
     }
-    for (int64_t n = 0; n < together; n++) {
-      joint_t *x = all + n;
-      int64_t j = every ? n : j0, lane = every ? 0 : n, c = c0 + lane, row = (j * L + s) * N;
-      x->changes = changes + lane * K; x->which = which + lane * K; x->moved = moved[lane];
-      double *p = x->p;
-      for (int i = 0; i < COUNT; i++) p[i] = entries[((i * J + j) * C + c) * L + s];
-      x->h = h; x->finer = size[15]; x->cmd = command + row; x->makes_step = makes_step + row;
-      x->way = along + row; x->stiff = stiffness + row;
-      x->ld = load + row; x->in = inertia + row; x->ldb = load_by + row * K; x->inb = inertia_by + row * K;
-      x->shown = out + ((j * C + c) * L + s) * N;
-      double late = p[command_delay] / h, whole = floor(late);
-      x->part = late - whole; x->behind = (int64_t)whole;
-      x->here = x->here_step = x->there = x->there_step = 0;
-      if (x->behind < 0) {
-        x->here = -x->behind / often; x->here_step = -x->behind % often;
-        x->there = (-x->behind - 1) / often; x->there_step = (-x->behind - 1) % often;
+    if (last > N) last = N;
+    for (int64_t i = 0; i < K; i++) {  /* inertial unknowns that differ from the waves' own in any lane */
+      int any = 0;
+      EACH(n) {changes[moved][n] = n < used ? inertial[i * C + c0 + n] : 0.0; any |= changes[moved][n] != 0.0;}
+      if (any) which[moved++] = i;
+    }
+    for (int64_t n = 0; n < n_blocks * LANES; n++) {  /* unused lanes repeat the first one */
+      block_t *x = all + n / LANES;
+      int l = (int)(n % LANES), in_use = n < used;
+      int64_t j = every && in_use ? n : j0, c = !every && in_use ? c0 + n : c0, row = (j * L + s) * N;
+      double (*p)[LANES] = x->p, h = x->h = dt[s] / (double)often;
+      if (!l) {x->n_elastic = x->late = x->bent = x->sticky = x->loops = x->integrates = 0; x->one_goal = 1;}
+      for (int i = 0; i < COUNT; i++) p[i][l] = entries[((i * J + j) * C + c) * L + s];
+      goals_t goal = {j, s, p[command_delay][l], p[command_step][l], p[acceleration_limit][l], p[speed_limit][l],
+        p[steps_pass][l], NULL};
+      goals_t *first = every ? goals + j : goals + LANES, *mine = every ? first : goals + l;  /* `first`: of the first trial */
+      if (first->joint != j || first->log != s || is_goal_of(first, &goal)) mine = first;
+      if (!is_goal_of(mine, &goal)) {
+        goal.at = mine->at; *mine = goal;
+        fill_goals(mine, N, often, h, size[15], told, command + row, makes_step + row);
       }
-      double old = p[torque_delay] / h, old_whole = floor(old);
-      x->old_part = old - old_whole; x->length = (int64_t)old_whole + 2;
-      x->past = p[torque_delay] > 0 ? malloc(2 * (size_t)x->length * sizeof(double)) : NULL;
-      if (p[torque_delay] > 0 && !x->past) failed = 1;
-      x->elastic = p[joint_compliance] > 0 || p[backlash] > 0;
-      x->profiled = isfinite(p[speed_limit]) || isfinite(p[acceleration_limit]);
-      x->gap = 0.5 * p[backlash]; x->integral = 0.0; x->last = -1.0;
-      x->q = x->m = start[j * L + s]; x->v = x->w = x->v_before = speed[j * L + s];
-      x->v_next = 0.0;  /* between steps, what the last one changed */
-      x->g.position = x->cmd[0]; x->g.speed = 0.0;
-      if (p[command_step] > 0) x->g.position = p[command_step] * nearbyint(x->cmd[0] / p[command_step]);
-      x->next_load = x->ld[0];
-      if (x->moved) x->next_load += combine(x->ldb, x->changes, x->which, x->moved);
-      if (x->elastic) {
-        double rest0 = x->next_load + p[offset];
-        double twist = p[joint_compliance] * rest0 + (rest0 > 0 ? x->gap : rest0 < 0 ? -x->gap : 0.0);
-        if (shown_on_motor) x->q -= twist; else x->m += twist;
+      x->goals[l] = mine->at; x->one_goal &= x->goals[l] == x->goals[0];
+      x->way[l] = along + row; x->stiff[l] = stiffness + row; x->ld[l] = load + row; x->in[l] = inertia + row;
+      x->shown[l] = !in_use ? NULL : chosen ? whole + l * N : out + ((j * C + c) * L + s) * N;
+      double old = p[torque_delay][l] / h, old_whole = floor(old);
+      x->old_part[l] = old - old_whole; x->length[l] = (int64_t)old_whole + 2;
+      int delayed = p[torque_delay][l] > 0 && in_use;
+      x->past[l] = delayed ? malloc(2 * (size_t)x->length[l] * sizeof(double)) : NULL;
+      if (delayed && !x->past[l]) failed = 1;
+      x->elastic[l] = p[joint_compliance][l] > 0 || p[backlash][l] > 0;
+      x->n_elastic += x->elastic[l]; x->late |= delayed; x->bent |= p[drive_exponent][l] != 1.0;
+      x->sticky |= p[stiction][l] != 0; x->loops |= p[speed_gain][l] > 0;
+      x->integrates |= (p[speed_gain][l] > 0 ? p[speed_integral_gain][l] : p[integral_gain][l]) != 0;
+      x->fades[l] = 1.0 / most_of(p[stiction_speed][l], 1e-30);
+      x->gap[l] = 0.5 * p[backlash][l]; x->integral[l] = 0.0; x->last[l] = -1.0;
+      x->q[l] = x->m[l] = start[j * L + s]; x->v[l] = x->w[l] = x->v_before[l] = speed[j * L + s];
+      x->v_next[l] = 0.0;  /* between steps, what the last one changed */
+      x->q_next[l] = x->m_next[l] = x->q[l]; x->w_next[l] = 0.0;
+      x->next_load[l] = x->ld[l][0];
+      for (int64_t i = 0; i < moved; i++) x->next_load[l] += load_by[row * K + which[i]] * changes[i][l];
+      if (x->elastic[l]) {
+        double rest0 = x->next_load[l] + p[offset][l];
+        double twist = p[joint_compliance][l] * rest0 + (rest0 > 0 ? x->gap[l] : rest0 < 0 ? -x->gap[l] : 0.0);
+        if (shown_on_motor) x->q[l] -= twist; else x->m[l] += twist;
       }
     }
     int64_t step = every ? window : N;
     for (int64_t begin = 0; begin < N && !failed; begin += step) {
-      int64_t stop = begin + step < N - 1 ? begin + step : N - 1, turn = 0;
-      for (int64_t n = 0; n < together; n++) {
-        joint_t *x = all + n;
-        kept[n] = *x;
-        if (x->past) memcpy(x->past + x->length, x->past, (size_t)x->length * sizeof(double));
-        show(x, begin, plane, shown_on_motor, with_speeds);
+      int64_t stop = begin + step < last - 1 ? begin + step : last - 1, turn = 0;
+      for (int64_t b = 0; b < n_blocks; b++) {
+        block_t *x = all + b;
+        kept[b] = *x;
+        EACH(n) if (x->past[n]) memcpy(x->past[n] + x->length[n], x->past[n], (size_t)x->length[n] * sizeof(double));
+        show(x, (int)least_of((double)(used - b * LANES), LANES), begin, plane, shown_on_motor, with_speeds);
       }
       if (every && begin < stop && settle(s, begin, stop, turn)) break;
       while (begin < stop) {
         for (int64_t k = begin; k < stop; k++) {
-          for (int64_t n = 0; n < together; n++) {
-            joint_t *x = all + n;
-            double now = held_load ? x->ld[k] : x->next_load;
-            x->mass = x->in[k]; x->next_load = x->ld[k + 1];
-            if (x->moved) {
-              x->mass += combine(x->inb + k * K, x->changes, x->which, x->moved);
-              x->next_load += combine(x->ldb + (k + 1) * K, x->changes, x->which, x->moved);
+          for (int64_t b = 0; b < n_blocks; b++) {
+            block_t *x = all + b;
+            lanes_t now;
+            if (every) EACH(n) {
+              now[n] = held_load ? x->ld[n][k] : x->next_load[n];
+              x->mass[n] = x->in[n][k]; x->next_load[n] = x->ld[n][k + 1];
+              x->way_now[n] = x->way[n][k]; x->turn[n] = (x->way[n][k + 1] - x->way[n][k]) / (double)often;
+              x->stiff_now[n] = x->stiff[n][k];
+            } else {  /* lanes of one joint of one log */
+              double mass0 = x->in[0][k], load0 = x->ld[0][k], load1 = x->ld[0][k + 1], way0 = x->way[0][k];
+              double turn0 = (x->way[0][k + 1] - way0) / (double)often, stiff0 = x->stiff[0][k];
+              EACH(n) {
+                now[n] = held_load ? load0 : x->next_load[n];
+                x->mass[n] = mass0; x->next_load[n] = load1; x->way_now[n] = way0; x->turn[n] = turn0; x->stiff_now[n] = stiff0;
+              }
             }
-            x->rest0 = now + x->p[offset];
-            x->slope = held_load ? 0.0 : (x->next_load - now) / (double)often;
-            x->turn = (x->way[k + 1] - x->way[k]) / (double)often;
-            x->full = x->p[force_per_unit] * en[k];
-            x->loaded = x->mass;
+            const double *inb = inertia_by + ((j0 * L + s) * N + k) * K, *ldb = load_by + ((j0 * L + s) * N + k + 1) * K;
+            for (int64_t i = 0; i < moved; i++) {
+              double heavy = inb[which[i]], pulls = ldb[which[i]];
+              EACH(n) {x->mass[n] += heavy * changes[i][n]; x->next_load[n] += pulls * changes[i][n];}
+            }
+            EACH(n) {
+              x->rest0[n] = now[n] + x->p[offset][n];
+              x->slope[n] = held_load ? 0.0 : (x->next_load[n] - now[n]) * share;
+              x->full[n] = x->p[force_per_unit][n] * en[k];
+              x->loaded[n] = x->mass[n];
+            }
           }
           if (every) {  /* mass matrix and slopes of gravity between their rows */
             const double *m0 = masses + (s * R + k / every) * J * J, *g0 = slopes + (s * R + k / every) * J * J;
@@ -384,33 +506,63 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
             }
             take_loaded_inertias(all, J, M, G + J * J, G + J * J + J);
           }
-          for (int64_t n = 0; n < together; n++) take_inertia(all + n, least, contact, teeth);
+          for (int64_t b = 0; b < n_blocks; b++) {
+            block_t *x = all + b;
+            if (x->n_elastic < LANES) {
+              lanes_t firm;
+              double rate = 1.0 / x->h;
+              EACH(n) firm[n] = most_of(x->mass[n] + x->p[armature][n], least) * rate;
+              EACH(n) x->firm[n] = x->elastic[n] ? x->firm[n] : firm[n];
+            }
+            if (x->n_elastic) EACH(n) if (x->elastic[n]) take_inertia(x, n, least, contact, teeth);
+          }
           for (int64_t i = 0; i < often; i++) {
-            for (int64_t n = 0; n < together; n++) drive(all + n, N, often, k, i, on_motor, told, sup[k], straight);
-            if (every) turn_together(all, J, M, k, i, sweeps, settled);
-            else for (int64_t n = 0; n < together; n++) turn_joint(all + n, all[n].rest);
-            for (int64_t n = 0; n < together; n++) {
-              joint_t *x = all + n;
-              double gained = x->v_next - x->v;
-              x->q = x->q_next; x->v = x->v_next;
-              if (x->elastic) {x->m = x->m_next; x->w = x->w_next;}
-              x->v_next = gained;
+            for (int64_t b = 0; b < n_blocks; b++) drive(all + b, k * often + i, i, on_motor, told, sup[k], straight);
+            if (every) turn_together(all, J, M, i, sweeps, settled);
+            else {
+              if (all->n_elastic < LANES) {lanes_t rest; memcpy(rest, all->rest, sizeof(rest)); turn_rigid(all, 0, LANES, rest);};
+              if (all->n_elastic) EACH(n) if (all->elastic[n]) turn_elastic(all, n, all->rest[n]);
+            }
+            for (int64_t b = 0; b < n_blocks; b++) {
+              block_t *x = all + b;
+              EACH(n) {
+                double gained = x->v_next[n] - x->v[n];
+                x->q[n] = x->q_next[n]; x->v[n] = x->v_next[n]; x->m[n] = x->m_next[n]; x->w[n] = x->w_next[n];
+                x->v_next[n] = gained;
+              }
             }
           }
-          for (int64_t n = 0; n < together; n++) show(all + n, k + 1, plane, shown_on_motor, with_speeds);
+          for (int64_t b = 0; b < n_blocks; b++)
+            show(all + b, (int)least_of((double)(used - b * LANES), LANES), k + 1, plane, shown_on_motor, with_speeds);
         }
         if (!every || settle(s, begin, stop, ++turn)) break;
-        for (int64_t n = 0; n < together; n++) {
-          joint_t *x = all + n;
-          *x = kept[n];
-          if (x->past) memcpy(x->past, x->past + x->length, (size_t)x->length * sizeof(double));
+        for (int64_t b = 0; b < n_blocks; b++) {
+          block_t *x = all + b;
+          *x = kept[b];
+          EACH(n) if (x->past[n]) memcpy(x->past[n], x->past[n] + x->length[n], (size_t)x->length[n] * sizeof(double));
         }
       }
     }
-    for (int64_t n = 0; n < together; n++) free(all[n].past);
+    for (int64_t n = 0; n < used; n++) {
+      free(all[n / LANES].past[n % LANES]);
+      double *q = all[n / LANES].shown[n % LANES], *picked = out + ((j0 * C + c0 + n) * L + s) * chosen;
+      if (moves && !failed) move_to_stamps(q, last, apart + s * N);
+      for (int64_t k = 0; k < chosen && !failed; k++) picked[k] = q[(int64_t)shown[s * chosen + k]];
+    }
   }
-  free(all); free(M); free(which);
+  free(all); free(M); free(changes); free(which); free(goals); free(sought); free(whole);
   return failed;
+}
+
+__attribute__((visibility("default")))
+int64_t loop_run(const int64_t *size, const double *dt, const double *start, const double *speed, const double *command,
+    const double *makes_step, const double *along, const double *load,
+    const double *load_by, const double *inertia, const double *inertia_by,
+    const double *stiffness, const double *supply, const double *enabled, const double *entries, const double *inertial,
+    const double *limits, const double *masses, const double *slopes, const double *apart, const double *shown, double *out,
+    settle_t settle) {
+  return run(size, dt, start, speed, command, makes_step, along, load, load_by, inertia, inertia_by, stiffness, supply, enabled,
+    entries, inertial, limits, masses, slopes, apart, shown, out, settle);
 }
 """
 
@@ -418,7 +570,7 @@ int64_t loop_run(const int64_t *size, const double *dt, const double *start, con
 def run_compiled(
     waves: Waves, trials: Trials, often: int, limits: tuple[float, ...], sweeps: int, motion: bool
 ) -> np.ndarray | None:
-    """Return the result of `loop.simulate_loops` (1 or 3, N, na, C, S), or None if compiled code is not available.
+    """Return the result of `loop.simulate_loops` (1 or 3, M, na, C, S), or None if compiled code is not available.
 
     Args:
         waves: Data of logs and robot.
@@ -430,7 +582,7 @@ def run_compiled(
         sweeps: Sweeps over the joints of such a step, at most.
         motion: Whether the links' positions and speeds are appended to the positions.
     """
-    source = _SOURCE.replace("@NAMES@", ", ".join(NAMES))
+    source = _SOURCE.replace("@NAMES@", ", ".join(NAMES)).replace("@LANES@", str(LANES))
     library = _LIBRARIES.build(source) if is_compiling_allowed() else None
     if library is None:
         return None
@@ -439,7 +591,8 @@ def run_compiled(
     entries = np.empty((len(NAMES), na, c, s))
     for row, name in zip(entries, NAMES, strict=True):
         row[:] = waves.by_log[name][:, None, :] if name in waves.by_log else trials.values[name][:, :, None]
-    out = np.empty((1 + 2 * motion, na, c, s, n))
+    chosen = 0 if waves.shown is None else len(waves.shown)
+    out = np.empty((1 + 2 * motion, na, c, s, chosen or n))
     shown = np.moveaxis(out, -1, 1)
     flags = (waves.encoder_on_motor, waves.measured_on_motor, waves.held)
     own = [np.moveaxis(x, 0, -1) for x in (waves.along, waves.load, waves.inertia, waves.stiffness)]
@@ -483,6 +636,8 @@ def run_compiled(
             sweeps,
             min(COMMANDS.index(waves.told), 2),
             max(1, -(-waves.profile_steps // often)),
+            waves.apart is not None,
+            chosen,
         ],
         dtype=np.int64,
     )
@@ -491,6 +646,7 @@ def run_compiled(
     inputs = [waves.dt, waves.start, waves.speed, *(np.moveaxis(x, 0, -1) for x in (waves.command, steps)), along, load]
     inputs += [by[0], inertia, by[1], stiffness]
     inputs += [waves.supply.T, waves.enabled.T, entries, trials.inertial - near[:, None], np.array(limits), *matrices]
+    inputs += [np.zeros(0) if x is None else x.T for x in (waves.apart, waves.shown)]
     inputs = [np.ascontiguousarray(x, dtype=float) for x in inputs]
     library.loop_run.restype = ctypes.c_int64
     failed = library.loop_run(*(ctypes.c_void_p(x.ctypes.data) for x in (sizes, *inputs, out)), settle)

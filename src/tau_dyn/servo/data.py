@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
 from tau_dyn.model import Model
-from tau_dyn.servo.fit import FINE_DIFFERENCES, LoopFit, LoopProblem, Slopes, fit_loop, stack_records
+from tau_dyn.servo.fit import FINE_DIFFERENCES, LoopFit, LoopProblem, Slopes, fit_loop
 from tau_dyn.servo.loads import InertialSpace, LoadWaves, compute_load_waves
 from tau_dyn.servo.prediction import SimulatedMotion, differentiate_coupled, simulate_coupled
 from tau_dyn.servo.records import LoopRecord, build_waves, split_pieces
 from tau_dyn.servo.unknowns import LoopUnknowns
-from tau_dyn.servo.waves import MAX_STEP_S, SPRING_STEP_S, Trials
+from tau_dyn.servo.waves import MAX_STEP_S, SPRING_STEP_S, Trials, Waves
 from tau_dyn.simulate import COMMANDS, ServoLaw
 
 BASELINE = ("armature", "coulomb", "viscous", "offset")
@@ -44,7 +44,7 @@ STILL_FALLING = 0.05
 MAX_JOINT_SECONDS = 1500.0
 """Unknowns times joints times seconds of logs up to which springs are fitted with sensitivities of all joints: minutes."""
 SEARCH_S = 150.0
-"""Duration of the logs in which causes are searched [s], in pieces of at least 10 s: some 30 blocks of 4 s."""
+"""Duration of the logs in which causes are searched [s], in pieces of 10 s: a hundred blocks of 1.5 s."""
 MIXED = 8
 """Largest number of solutions that are combined into the next start."""
 RMS_TOLERANCE = 1e-4
@@ -58,6 +58,13 @@ class ExactMotions(NamedTuple):
 
     motions: tuple[SimulatedMotion, ...]
     trials: Trials
+
+
+class _Built(NamedTuple):
+    """Waves, and the positions, commands, loads, law and wholeness from which they were built."""
+
+    key: tuple[object, ...]
+    waves: Waves
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +82,7 @@ class LoopData:
         whole: Whether logs are simulated from start to end rather than in pieces: behind a spring no measured position gives
             the initial state of a piece, and a loop without a position error never forgets it.
         step: Longest step of the simulated loops [s].
+        built: The waves that were built last, which all problems with the same motions and loads share.
     """
 
     model: Model
@@ -86,6 +94,7 @@ class LoopData:
     settled: ExactMotions | None = None
     whole: bool = False
     step: float = MAX_STEP_S
+    built: dict[str, _Built] = field(default_factory=dict)
 
     def build_problem(
         self, unknowns: LoopUnknowns | None = None, records: Sequence[LoopRecord] | None = None
@@ -93,8 +102,11 @@ class LoopData:
         """Return the fit's problem, with other unknowns or other masks if given."""
         records = records or self.records
         pieces, loads = (records, self.loads) if self.whole else split_pieces(records, self.loads)
-        problem = LoopProblem(unknowns or self.unknowns, build_waves(pieces, loads, self.law), pieces)
-        problem = problem.with_step(self.step)
+        key = (*(r.q for r in records), *(r.command for r in records), *self.loads, self.law, self.whole)
+        last = self.built.get("last")
+        if last is None or len(last.key) != len(key) or any(x is not y for x, y in zip(last.key, key, strict=True)):
+            self.built["last"] = last = _Built(key, build_waves(pieces, loads, self.law))
+        problem = LoopProblem(unknowns or self.unknowns, last.waves, pieces).with_step(self.step)
         if self.settled is None:
             return problem
         exact = [replace(r, q=m.q) for r, m in zip(records, self.settled.motions, strict=True)]
@@ -112,7 +124,7 @@ class LoopData:
         total = sum(len(r.t) * r.dt for r in self.records)
         if self.law.command != COMMANDS[0] or total <= SEARCH_S:
             return self
-        pieces, loads = split_pieces(self.records, self.loads)
+        pieces, loads = split_pieces(self.records, self.loads, np.inf)
         count = round(len(pieces) * SEARCH_S / total)
         chosen = np.round(np.linspace(0, len(pieces) - 1, count)).astype(int)
         return replace(self, records=[pieces[k] for k in chosen], loads=[loads[k] for k in chosen])
@@ -162,21 +174,20 @@ class CoupledProblem(LoopProblem):
         self._data, self.share_of_steps = data, FINE_DIFFERENCES
 
     def simulate(self, x: np.ndarray) -> np.ndarray:
-        """Return positions (N, na, C, S) at vectors (n, C)."""
+        """Return positions (M, na, C, S) at vectors (n, C)."""
         d, (values, inertial), found = self._data, self.unknowns.unpack(x), []
         for c in range(x.shape[1]):
             one = {key: value[:, c] for key, value in values.items()}
             motions = simulate_coupled(d.space, inertial[:, c], one, d.law, d.records, self.waves.step)
-            found.append(stack_records([m.q for m in motions], len(self.measured)))
+            found.append(self.pick([m.q for m in motions]))
         return np.stack(found, axis=2)
 
     def differentiate(self, x: np.ndarray) -> tuple[np.ndarray, Slopes]:
-        """Return the residual (N, na, S) and the sensitivities at a vector (n,)."""
+        """Return the residual (M, na, S) and the sensitivities at a vector (n,)."""
         d, steps = self._data, self.list_steps(x)
         values, inertial = self.unknowns.unpack(np.column_stack([x, x[:, None] + np.diag(steps)]))
         moved = differentiate_coupled(d.space, Trials(values, inertial), d.law, d.records, self.waves.step)
-        n = len(self.measured)
-        change = np.stack([stack_records([m[:, :, c] for m in moved], n) for c in range(1, len(x) + 1)], axis=0)
+        change = np.stack([self.pick([m[:, :, c] for m in moved]) for c in range(1, len(x) + 1)], axis=0)
         change = np.where(self.used[None, :, None, :], change, 0.0) / -steps[:, None, None, None]
         rows = [change[:, :, j].transpose(0, 2, 1).reshape(len(x), -1) for j in range(change.shape[2])]
         self.slopes = Slopes(x, rows, [np.arange(len(x))] * len(rows))

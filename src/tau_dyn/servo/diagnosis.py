@@ -37,9 +37,9 @@ from tau_dyn.model import Model
 from tau_dyn.parameters import Parameter
 from tau_dyn.robot import Robot
 from tau_dyn.servo.cause_search import LoopSearch, check_steps, compute_limits, part_twins, search_causes
-from tau_dyn.servo.data import BASELINE, LoopData, fit_coupled, fit_precisely, keep_kinds, refit_again
+from tau_dyn.servo.data import BASELINE, LoopData, fit_coupled, fit_from_starts, keep_kinds
 from tau_dyn.servo.doubts import list_loop_warnings
-from tau_dyn.servo.fit import LoopFit
+from tau_dyn.servo.fit import LoopFit, fit_loop
 from tau_dyn.servo.identification import fill_model, list_body_rows, list_joint_rows
 from tau_dyn.servo.preparation import LoopOptions, read_loop_logs
 from tau_dyn.servo.records import LoopRecord
@@ -67,7 +67,7 @@ class _Parts:
 
 
 class _Residuals(NamedTuple):
-    """Residuals (N, na, S) of a model, blocks and used samples (N, S)."""
+    """Residuals (M, na, S) of a model at the used samples, blocks and samples that are there (M, S)."""
 
     r: np.ndarray
     blocks: np.ndarray
@@ -100,15 +100,7 @@ def diagnose_loop(
     law = data.law
     unknowns = keep_kinds(data, (*BASELINE, *law.estimated))
     data = replace(data, unknowns=unknowns, whole=True)
-    progress("baseline")
-    base = fit_precisely(data.build_problem(), progress)
-    search = _search(data, base, progress)
-    progress("exact motions")
-    data = data.with_fine_steps(search.fit)
-    settled, near = fit_coupled(replace(data, unknowns=search.unknowns), progress, search.fit)
-    data = replace(settled, unknowns=unknowns)
-    base, search = check_steps(data, base, replace(search, fit=near) if settled.is_shaken else search, progress)
-    search = part_twins(data, search, progress)
+    data, short, base, search = _search(data, progress)
     held = data
     if not parts.same_logs:
         held = replace(
@@ -137,7 +129,7 @@ def diagnose_loop(
     ]
     unexplained = find_residual_structure(law.joints, residuals, floor, np.random.default_rng(seed))
     progress("detection limits")
-    limits, untestable = _list_limits(data, base, findings)
+    limits, untestable = _list_limits(short, base, findings)
     warnings = [*given.warnings, *describe_foreign_joints(foreign)]
     held = [] if parts.same_logs else parts.confirm
     warnings += list_loop_warnings(law, parts.train, held, [*given.train, *given.held], data, base)
@@ -226,13 +218,31 @@ def _describe(findings: Sequence[Finding], before: OutputErrors, after: OutputEr
     return f"No cause is confirmed; the held-out position error of the simulated loop is {one} mrad."
 
 
-def _search(data: LoopData, base: LoopFit, progress: Callable[[str], None]) -> LoopSearch:
-    """Return the causes found on pieces of long logs, fitted to the whole logs."""
-    short = data.shorten()
+def _search(data: LoopData, progress: Callable[[str], None]) -> tuple[LoopData, LoopData, LoopFit, LoopSearch]:
+    """Return data with exact motions, their pieces, the baseline and the causes: found on pieces, fitted to the whole logs."""
+    short, unknowns = data.shorten(), data.unknowns
+    progress("baseline")
+    problem = short.build_problem()
+    base = fit_loop(problem.with_finer_differences(), progress, first=fit_from_starts(problem, progress).x)
+    search = search_causes(short, base, progress)
+    progress("exact motions")
+    settled, near = _settle(short, search, progress)
+    base, search = check_steps(settled, base, replace(search, fit=near) if settled.is_shaken else search, progress)
+    search = part_twins(settled, search, progress)
     if short is data:
-        return search_causes(data, base, progress)
-    found = search_causes(short, refit_again(short.build_problem(), base, progress), progress)
-    return replace(found, fit=refit_again(data.build_problem(found.unknowns), found.fit, progress))
+        return settled, settled, base, search
+    progress("whole logs")
+    near = fit_loop(data.build_problem(search.unknowns), progress, first=search.fit.x)
+    settled, near = _settle(data, replace(search, fit=near), progress)
+    base = fit_loop(settled.build_problem(unknowns), progress, first=base.x) if search.taken else near
+    return settled, short, base, replace(search, fit=near)
+
+
+def _settle(data: LoopData, search: LoopSearch, progress: Callable[[str], None]) -> tuple[LoopData, LoopFit]:
+    """Return the data with exact loads and steps for the causes found, and their fit."""
+    fine = data.with_fine_steps(search.fit)
+    settled, near = fit_coupled(replace(fine, unknowns=search.unknowns), progress, search.fit)
+    return replace(settled, unknowns=data.unknowns), near
 
 
 def _split(train: Sequence[LoopRecord], held: Sequence[LoopRecord]) -> _Parts:
@@ -382,6 +392,7 @@ def _list_limits(
 ) -> tuple[tuple[Limit, ...], tuple[Untestable, ...]]:
     """Return the detection limits of the causes that were not found, and the causes that these logs cannot show."""
     limits, untestable = [], []
+    kept = data.build_problem().keep_inertial(base.x)
     for cause, row in LOOP_CAUSES.items():
         entry = row.entries[0]
         free = data.unknowns.kinds.index(entry) if entry in data.unknowns.kinds else -1
@@ -389,7 +400,7 @@ def _list_limits(
             continue  # found, or a number that the baseline estimates
         known = data.law.values[entry]
         most = np.where(known > 0, known, HIGHEST.get(entry, np.inf))
-        found = dict(zip(data.law.joints, compute_limits(data, base, cause).tolist(), strict=True))
+        found = dict(zip(data.law.joints, compute_limits(data, base, cause, kept).tolist(), strict=True))
         if entry in LIMITS:  # found up to this number: the smallest is the worst
             shown = {joint: min(x, HIGHEST[entry]) for joint, x in found.items() if x > LOWEST[entry]}
             order = sorted(shown, key=lambda j: shown[j])
@@ -410,7 +421,7 @@ def _list_limits(
 
 
 def _bootstrap(before: np.ndarray, after: np.ndarray, blocks: np.ndarray, seed: int) -> tuple[float, float]:
-    """Return the 95 % interval of the reduction of the rms [%] over draws of blocks; residuals and blocks (N, S)."""
+    """Return the 95 % interval of the reduction of the rms [%] over draws of blocks; residuals and blocks (M, S)."""
     rng, flat = np.random.default_rng(seed), blocks.reshape(-1)
     a, b = (np.bincount(flat, weights=(r**2).reshape(-1)) for r in (before, after))
     there = np.flatnonzero((a > 0) | (b > 0))

@@ -19,8 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tau_dyn.servo.compiled_loop import LANES
 from tau_dyn.servo.loop import simulate_loops
-from tau_dyn.servo.records import LoopRecord, move_to_stamps
+from tau_dyn.servo.records import LoopRecord
 from tau_dyn.servo.unknowns import LoopUnknowns, compute_stiffness
 from tau_dyn.servo.waves import Trials, Waves
 
@@ -91,25 +92,35 @@ class Slopes(NamedTuple):
 
 
 class LoopProblem:
-    """Residuals and sensitivities of a fit.
+    """Residuals and sensitivities of a fit, at the used samples of its logs: M of each, padded to the most.
 
     Attributes:
+        used: Mask (M, S) of the samples that are there.
+        blocks: Number of each sample's block (M, S).
         slopes: Sensitivities that were simulated last, or those of nearly the same problem.
         inertial: Joint by joint, sensitivities (K, S N) to the inertial unknowns that a trial keeps; None to simulate them.
     """
 
     def __init__(self, unknowns: LoopUnknowns, waves: Waves, records: Sequence[LoopRecord]) -> None:
         """Prepare; records give the measured positions and the samples that are used."""
-        n = len(waves.command)
-        self.unknowns, self.waves = unknowns, waves
-        self.measured = stack_records([r.measured for r in records], n)
-        self.apart = _stack_apart(records, n)
-        self.used = np.stack([np.pad(r.used, (0, n - len(r.t))) for r in records], axis=-1)
-        self.blocks = _number_blocks(records, n)
+        used = [np.flatnonzero(r.used) for r in records]
+        m = max(1, *map(len, used))
+        self.used = np.array([np.arange(m) < len(x) for x in used]).T
+        shown = np.array([np.pad(x, (0, m - len(x)), mode="edge") if len(x) else np.zeros(m, int) for x in used]).T
+        self.unknowns, self.waves = unknowns, replace(waves, shown=shown)
+        self.measured = self.pick([r.measured for r in records])
+        self.blocks = np.take_along_axis(_number_blocks(records, len(waves.command)), shown, axis=0)
         self.count = np.maximum(self.used.sum(), 1)
         self.share_of_steps = 1.0
         self.slopes: Slopes | None = None
         self.inertial: list[np.ndarray] | None = None
+
+    def pick(self, arrays: Sequence[np.ndarray]) -> np.ndarray:
+        """Return the used samples (M, na, S) of each log's array (N, na), in the memory order of compiled loops."""
+        shown = self.waves.shown
+        assert shown is not None
+        rows = [x[at].T for x, at in zip(arrays, shown.T, strict=True)]
+        return np.ascontiguousarray(np.stack(rows, axis=1)).transpose(2, 0, 1)
 
     def with_finer_differences(self) -> LoopProblem:
         """Return the problem with small steps for its differences, for the last part of a search."""
@@ -149,27 +160,21 @@ class LoopProblem:
     def correct(self, exact: Sequence[np.ndarray], trials: Trials) -> LoopProblem:
         """Return the problem corrected for the error of its steps and loads by the exact positions (N, na) at one trial."""
         other = copy(self)
-        n = len(self.measured)
-        other.measured = self.measured - stack_records(exact, n) + self._simulate(trials)[:, :, 0]
+        other.measured = self.measured - self.pick(exact) + simulate_loops(self.waves, trials)[:, :, 0]
         return other
 
-    def _simulate(self, trials: Trials) -> np.ndarray:
-        """Return positions (N, na, C, S) at the stamps."""
-        q = simulate_loops(self.waves, trials)
-        return q if self.apart is None else move_to_stamps(q, self.apart)
-
     def simulate(self, x: np.ndarray) -> np.ndarray:
-        """Return positions (N, na, C, S) at the stamps and at vectors (n, C)."""
+        """Return positions (M, na, C, S) at the stamps and at vectors (n, C)."""
         values, inertial = self.unknowns.unpack(x)
-        per = max(1, MAX_ELEMENTS // self.measured.size)
+        per = LANES * max(1, MAX_ELEMENTS // (LANES * self.measured.size))
         parts = []
         for k in range(0, x.shape[1], per):
             cut = {key: value[:, k : k + per] for key, value in values.items()}
-            parts.append(self._simulate(Trials(cut, inertial[:, k : k + per])))
+            parts.append(simulate_loops(self.waves, Trials(cut, inertial[:, k : k + per])))
         return np.concatenate(parts, axis=2) if len(parts) > 1 else parts[0]
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
-        """Return measured minus simulated positions (N, na, C, S) at vectors (n, C), zero at unused samples."""
+        """Return measured minus simulated positions (M, na, C, S) at vectors (n, C), zero where none is used."""
         r = self.measured[:, :, None, :] - self.simulate(x)
         np.copyto(r, 0.0, where=~self.used[:, None, None, :])
         return r
@@ -193,7 +198,7 @@ class LoopProblem:
         return np.append(np.maximum(steps, 1e-9), np.full(self.unknowns.space.n_unknowns, 0.15))
 
     def differentiate(self, x: np.ndarray) -> tuple[np.ndarray, Slopes]:
-        """Return the residual (N, na, S) and the sensitivities at a vector (n,)."""
+        """Return the residual (M, na, S) and the sensitivities at a vector (n,)."""
         u, steps, joint_of = self.unknowns, self.list_steps(x), self.unknowns.joint_of
         simulated = u.n if self.inertial is None else u.n - u.space.n_unknowns
         kind_of = np.append(np.nonzero(u.free)[0], len(u.kinds) + np.arange(u.space.n_unknowns))
@@ -215,19 +220,6 @@ class LoopProblem:
         return base, self.slopes
 
 
-def _stack_apart(records: Sequence[LoopRecord], n: int) -> np.ndarray | None:
-    """Return the distances of stamps from the clock (N, 1, 1, S); None if all stamps are even."""
-    if all(r.apart is None for r in records):
-        return None
-    rows = [np.zeros(len(r.t)) if r.apart is None else r.apart for r in records]
-    return np.stack([np.pad(x, (0, n - len(x))) for x in rows], axis=-1)[:, None, None, :]
-
-
-def stack_records(arrays: Sequence[np.ndarray], n: int) -> np.ndarray:
-    """Return arrays (., na) side by side (n, na, S), their last rows repeated."""
-    return np.stack([np.pad(x, ((0, n - len(x)), (0, 0)), mode="edge") for x in arrays], axis=-1)
-
-
 def _number_blocks(records: Sequence[LoopRecord], n: int) -> np.ndarray:
     """Return the number of the block that each sample (N, S) belongs to."""
     out, first = np.zeros((n, len(records)), dtype=int), 0
@@ -240,7 +232,7 @@ def _number_blocks(records: Sequence[LoopRecord], n: int) -> np.ndarray:
 
 
 def count_worth(residual: np.ndarray, used: np.ndarray) -> float:
-    """Return the number of used samples of one joint's residuals (N, S) per independent one."""
+    """Return the number of used samples of one joint's residuals (M, S) per independent one."""
     kept = [column[mask] for column, mask in zip(residual.T, used.T, strict=True)]
     reach = min(400, max(len(x) for x in kept) // 4)
     total = np.zeros(reach)
@@ -346,7 +338,7 @@ class _Linearised(NamedTuple):
     """A problem linearised about one vector.
 
     Attributes:
-        residual: Residuals (N, na, S) [rad].
+        residual: Residuals (M, na, S) [rad].
         H: Normal matrix, with the prior's (n, n).
         g: Right side, with the prior's (n,).
         scatter: Covariance of the gradient over blocks, with the prior's (n, n).
@@ -387,7 +379,7 @@ def _linearise(problem: LoopProblem, x: np.ndarray, prior: LoopPrior, worth: np.
 
 
 def _weigh(problem: LoopProblem, r: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """Return the inverse variances (na, S) of residuals (N, na, S): one per log, within a factor of its joint's."""
+    """Return the inverse variances (na, S) of residuals (M, na, S): one per log, within a factor of its joint's."""
     own = np.sqrt((r**2).sum(axis=0) / np.maximum(problem.used.sum(axis=0), 1))
     return np.clip(own, sigma[:, None] / MAX_CONTRAST, sigma[:, None] * MAX_CONTRAST) ** -2.0
 
@@ -414,7 +406,7 @@ def _accumulate(
 
 
 def _sum_squares(r: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return the weighted sums of squares (C,) of residuals (N, na, C, S)."""
+    """Return the weighted sums of squares (C,) of residuals (M, na, C, S)."""
     return np.einsum("njcs,njcs,js->c", r, r, weight)
 
 

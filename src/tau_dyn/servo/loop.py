@@ -37,6 +37,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tau_dyn.servo.compiled_loop import run_compiled
+from tau_dyn.servo.records import move_to_stamps
 from tau_dyn.servo.waves import LoadRows, Trials, Waves
 
 FINE_STEP_S = 0.0026
@@ -58,12 +59,12 @@ step finds no rest between the stops, and coupled joints do not converge."""
 
 
 def simulate_loops(waves: Waves, trials: Trials) -> np.ndarray:
-    """Return measured positions (N, na, C, S) [rad] of C trials in S logs, from each log's start."""
+    """Return measured positions (M, na, C, S) [rad] of C trials in S logs, from their starts, at the stamps of M samples."""
     return _simulate(waves, trials, False)[0]
 
 
 def simulate_motion(waves: Waves, trials: Trials) -> np.ndarray:
-    """Return measured positions, and the links' positions and speeds (3, N, na, C, S) [rad, rad/s] of C trials in S logs."""
+    """Return measured positions at the stamps, and the links' positions and speeds on the clock (3, N, na, C, S)."""
     return _simulate(waves, trials, True)
 
 
@@ -75,7 +76,12 @@ def _simulate(waves: Waves, trials: Trials, motion: bool) -> np.ndarray:
     found = run_compiled(
         waves, trials, often, (MIN_INERTIA, BEND, CONTACT_TURN, TEETH_DAMPING, SETTLED_SPEED), MAX_STEP_SWEEPS, motion
     )
-    return _simulate_in_numpy(waves, trials, often) if found is None else found
+    if found is not None:
+        return found
+    found = _simulate_in_numpy(waves, trials, often)
+    if waves.apart is not None:
+        found[0] = move_to_stamps(found[0], waves.apart[:, None, None])
+    return found if waves.shown is None else np.take_along_axis(found, waves.shown[None, :, None, None], axis=1)
 
 
 def _cut_delays(values: Mapping[str, np.ndarray], longest: float) -> dict[str, np.ndarray]:

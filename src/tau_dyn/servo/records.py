@@ -312,7 +312,16 @@ def build_waves(records: Sequence[LoopRecord], loads: Sequence[LoadWaves], law: 
         measured_on_motor=law.measured == "motor",
         told=law.command,
         given_steps=stack(steps) if steps else None,
+        apart=_stack_apart(records, n),
     )
+
+
+def _stack_apart(records: Sequence[LoopRecord], n: int) -> np.ndarray | None:
+    """Return the distances of stamps from the clock (N, S); None if all stamps are even."""
+    if all(r.apart is None for r in records):
+        return None
+    rows = [np.zeros(len(r.t)) if r.apart is None else r.apart for r in records]
+    return np.stack([np.pad(x, (0, n - len(x))) for x in rows], axis=-1)
 
 
 def _find_steps(record: LoopRecord) -> np.ndarray:
@@ -344,14 +353,21 @@ def refine(x: np.ndarray, every: int) -> np.ndarray:
     return interp1d(np.arange(n), x, axis=0, assume_sorted=True)(np.arange((n - 1) * every + 1) / every)
 
 
-def split_pieces(records: Sequence[LoopRecord], loads: Sequence[LoadWaves]) -> tuple[list[LoopRecord], list[LoadWaves]]:
+def split_pieces(
+    records: Sequence[LoopRecord], loads: Sequence[LoadWaves], most: float = PIECES
+) -> tuple[list[LoopRecord], list[LoadWaves]]:
     """Return the logs in pieces that are simulated in parallel (multiple shooting).
 
     A piece starts from the state of the motion along which its loads were evaluated. Its first part is not used: after it the
     loop has forgotten its initial state. A few long logs become many short ones, which take as long as one of them.
+
+    Args:
+        records: The logs.
+        loads: Their loads.
+        most: Approximate number of pieces, if none is shorter than `MIN_PIECE_S`.
     """
     total = sum(len(r.t) * r.dt for r in records)
-    length = max(MIN_PIECE_S, total / PIECES)
+    length = max(MIN_PIECE_S, total / most)
     pieces, waves = [], []
     for r, w in zip(records, loads, strict=True):
         n, warm = len(r.t), round(WARM_UP_S / r.dt)

@@ -32,7 +32,7 @@ class LoopResidual(NamedTuple):
 
     Attributes:
         records: The records.
-        values: Measured minus simulated positions (N, na, S), zero at unused samples [rad].
+        values: Measured minus simulated positions at the used samples, in order, padded (M, na, S) [rad].
     """
 
     records: Sequence[LoopRecord]
@@ -86,7 +86,7 @@ def _build_run(
     residual, part = np.zeros(first.q.shape), np.full(len(first.t), -1)
     for number, k in places:
         used = parts[number].records[k].used
-        residual[used] = parts[number].values[: len(first.t), :, k][used]
+        residual[used] = parts[number].values[: used.sum(), :, k]
         part[used] = EVERY[number]
     every = max(first.every, int(1 / (RESIDUAL_HZ * first.dt)))
     q, v, a = first.motion
@@ -112,7 +112,7 @@ def _average(x: np.ndarray, every: int) -> np.ndarray:
 def _find_colour(joint: str, part: LoopResidual, j: int, floor: float) -> Unexplained | None:
     """Return the correlation of a residual far above the floor, by a portmanteau test of samples in order (Ljung & Box 1978)."""
     records, residual = part
-    kept = [residual[: len(r.t), j, k][r.used] for k, r in enumerate(records)]
+    kept = [residual[: r.used.sum(), j, k] for k, r in enumerate(records)]
     count = sum(len(x) for x in kept)
     square = sum(float(x @ x) for x in kept)
     rms = float(np.sqrt(square / max(count, 1)))

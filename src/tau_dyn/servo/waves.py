@@ -88,6 +88,8 @@ class Waves:
         coupling: Steps all joints at once; None if each joint is stepped separately.
         told: Kind of the commands, one of `simulate.COMMANDS`.
         given_steps: Mask (N, na, S) of commands that are steps; None to find them.
+        apart: Stamps minus the clock's times, in its steps (N, S), at which positions are returned; None if all are even.
+        shown: Samples (M, S) whose positions are returned; None for all.
     """
 
     dt: np.ndarray
@@ -110,6 +112,8 @@ class Waves:
     coupling: JointCoupling | None = None
     told: str = "position"
     given_steps: np.ndarray | None = None
+    apart: np.ndarray | None = None
+    shown: np.ndarray | None = None
 
     @property
     def profile_steps(self) -> int:
