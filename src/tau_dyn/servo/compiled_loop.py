@@ -18,7 +18,8 @@ from tau_dyn.simulate import COMMANDS, SERVO_ENTRIES
 NAMES = (*SERVO_ENTRIES, "armature", "coulomb", "viscous", "offset")
 """Numbers of a joint in the order of the kernel's arguments."""
 LANES = 8
-"""Trials of a joint, or joints of a trial, that are stepped side by side."""
+"""Largest number of trials of a joint, or of joints of a trial, that are stepped side by side."""
+_WIDTHS = (1, 4, LANES)  # libraries' lanes; few trials take the narrow ones
 _LIBRARIES = LibraryCache()
 _SETTLE = ctypes.CFUNCTYPE(ctypes.c_int64, *(4 * [ctypes.c_int64]))
 
@@ -582,12 +583,13 @@ def run_compiled(
         sweeps: Sweeps over the joints of such a step, at most.
         motion: Whether the links' positions and speeds are appended to the positions.
     """
-    source = _SOURCE.replace("@NAMES@", ", ".join(NAMES)).replace("@LANES@", str(LANES))
+    n, na, s = waves.command.shape
+    c, k = trials.inertial.shape[1], len(trials.inertial)
+    lanes = next(x for x in _WIDTHS if x >= min(c if waves.coupling is None else na, LANES))
+    source = _SOURCE.replace("@NAMES@", ", ".join(NAMES)).replace("@LANES@", str(lanes))
     library = _LIBRARIES.build(source) if is_compiling_allowed() else None
     if library is None:
         return None
-    n, na, s = waves.command.shape
-    c, k = trials.inertial.shape[1], len(trials.inertial)
     entries = np.empty((len(NAMES), na, c, s))
     for row, name in zip(entries, NAMES, strict=True):
         row[:] = waves.by_log[name][:, None, :] if name in waves.by_log else trials.values[name][:, :, None]
