@@ -1,6 +1,6 @@
 """Are causes in logs of commands named, and is nothing named where nothing hides, on arms of a simulator of its own?
 
-    python experiments/servo_sets.py [--rate 30] [--sets 100] [--seed 0] [--out DIR]
+    python experiments/servo_sets.py [--rate 30] [--sets 100] [--first 0] [--seed 0] [--out DIR]
 
 In: nothing. Each set is a planar arm of one to three servos (`servo_sets_parts/plant.py` shares no code with the library),
 bodies up to 25 % off the robot file's, three logs of 30 s with 12 bit encoders: two to train on, one held out. At 30 Hz each
@@ -142,11 +142,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rate", type=float, default=30.0, choices=(30.0, 50.0), help="rate of commands and log [Hz]")
     parser.add_argument("--sets", type=int, default=100)
+    parser.add_argument("--first", type=int, default=0, help="number of the first set")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     rows = []
-    for number in range(options.sets):
+    for number in range(options.first, options.first + options.sets):
         rows.append(judge(number, options.rate, options.seed))
         print(rows[-1], flush=True)
     table = pd.DataFrame(rows)
