@@ -1,6 +1,8 @@
 """Springs, delays and plays in a servo's loop are named with their numbers, and what is none is not called so."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ import tau_dyn as td
 from tau_dyn.effects import LOOP_CAUSES, build_friction_model, list_causes
 from tau_dyn.evidence import Diagnosis
 from tau_dyn.model import Model
-from tau_dyn.servo import LoopIdentification, diagnose_loop, identify_loop, simulate_loop_log
+from tau_dyn.servo import LoopIdentification, diagnose_loop, diagnosis, identify_loop, simulate_loop_log
 from tau_dyn.simulate import SERVO_ENTRIES, ServoLaw, Trajectory
 
 from .arms import build_arm, build_law, build_link, build_truth, record
@@ -179,3 +181,21 @@ def test_every_cause_in_the_loop_is_an_entry_of_the_law():
     assert all(entry in SERVO_ENTRIES for row in LOOP_CAUSES.values() for entry in row.entries)
     listed = {row["cause"] for row in list_causes() if row["named_by"] == "diagnose, in the loop"}
     assert listed == set(LOOP_CAUSES)
+
+
+def test_the_baseline_of_a_diagnosis_is_the_best_of_several_starts(monkeypatch):
+    """A joint that friction holds at one start has another: a cause is compared with the best fit without it."""
+    data: Any = SimpleNamespace(unknowns=None)
+    problem = SimpleNamespace(with_finer_differences=lambda: "fine")
+    data.shorten, data.build_problem = lambda: data, lambda: problem
+    firsts = []
+
+    def stop(short: Any, base: Any, progress: Any) -> None:
+        raise InterruptedError
+
+    monkeypatch.setattr(diagnosis, "fit_from_starts", lambda problem, progress: SimpleNamespace(x="best"))
+    monkeypatch.setattr(diagnosis, "fit_loop", lambda problem, progress, first=None: firsts.append((problem, first)))
+    monkeypatch.setattr(diagnosis, "search_causes", stop)
+    with pytest.raises(InterruptedError):
+        diagnosis._search(data, lambda step: None)
+    assert firsts == [("fine", "best")]

@@ -192,6 +192,7 @@ def test_compiled_and_array_loops_agree(entries, side):
         {key: value[:, None] * factors for key, value in read_values(truth, law).items()},
         rng.standard_normal((3, 10)) * (np.arange(10) > 0),
     )
+    trials.values["steps_pass"][:, ::2] *= 0  # trials differ in the goals that they share
     often = int(np.ceil(waves.dt[0] / waves.step))
     np.testing.assert_allclose(simulate_motion(waves, trials), _simulate_in_numpy(waves, trials, often), atol=1e-9)
 
