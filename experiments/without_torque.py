@@ -1,6 +1,6 @@
 """How well are commands and positions alone simulated, on motions and gains that were not used; do the parameters hold?
 
-    python experiments/without_torque.py [--only so101 free xl330 pairs causes spring speed] [--sets N] [--first N] [--out DIR]
+    python experiments/without_torque.py [--only so101 free xl330 pairs causes laws spring speed named] [--sets N] [--out DIR]
 
 so101: every second motion by name trains (a rule fixed before any result), with the servo's law; free: without one. xl330:
 each gain from the others and from all of them, mean absolute error. pairs: simulated arms of one to three joints, each at two
@@ -10,7 +10,7 @@ causes: arms of one or two joints whose law the file gives, a third of them with
 hidden one, or a twin, is among them, lambda (what the fitted baseline misses of the true motion, in variances of the
 encoder's noise, summed over samples and joints: a noncentrality), and the error on a further log over that of the true model.
 laws: simulated arms of one to three joints identified with the true law and with a wrong one (a gain of 0.5 to 0.75 or 1.33 to
-2 times the true one, or no back EMF): how often `poor_fit` is reported.
+2 times the true one, or no back EMF): how often `poor_fit` is reported. named: the causes found on all SO-101 motions.
 spring: see spring_in_the_loop.py. speed: an arm of
 twelve joints, 120 s at 200 Hz.
 """
@@ -33,6 +33,7 @@ import xl330  # noqa: E402
 from spring_in_the_loop import summarise_springs, tabulate_springs  # noqa: E402
 from tests.servo.arms import build_arm, build_commands, build_law, build_truth, record  # noqa: E402
 
+from tau_dyn import load_robot, read_log  # noqa: E402
 from tau_dyn.exceptions import CannotAnswer  # noqa: E402
 from tau_dyn.identify import Choices  # noqa: E402
 from tau_dyn.log import Log  # noqa: E402
@@ -260,6 +261,21 @@ def tabulate_speed() -> pd.DataFrame:
     return pd.DataFrame([{"seconds": time.perf_counter() - begin, "held_out_mrad": rms, "unknowns": found.rank}])
 
 
+def tabulate_diagnosis() -> pd.DataFrame:
+    """Return the causes found on all fourteen SO-101 motions by the servo's law, and the CPU seconds that they took."""
+    robot = load_robot(so101.DATA / "so101" / "so101_new_calib.urdf", tool="gripper_frame_link")
+    columns = so101.HERE / "columns" / "so101.yaml"
+    logs = [read_log(path, columns) for path in sorted((so101.DATA / "so101").glob("*.parquet"))]
+    law = read_servo_law(so101.HERE / "controllers" / "sts3215.yaml", robot)
+    begin = time.process_time()
+    found = diagnose_loop(robot, logs, law=law)
+    seconds = time.process_time() - begin
+    print(found.sentence)
+    return pd.DataFrame(
+        [{"cause": f.cause, "joint": f.joints[0], "status": f.status, "cpu_s": seconds} for f in found.findings]
+    )
+
+
 def main() -> None:
     """Print and write the tables asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -278,6 +294,7 @@ def main() -> None:
         "spring": lambda: tabulate_springs(sets),
         "laws": lambda: tabulate_laws(sets),
         "speed": tabulate_speed,
+        "named": tabulate_diagnosis,
     }
     for name in options.only:
         table = tables[name]()

@@ -1,4 +1,4 @@
-"""The servo loops of `loop.py` as compiled code: the same equations, trial by trial, a hundred times faster.
+"""The servo loops of `loop.py` as compiled code: the same equations, up to eight trials side by side, a hundred times faster.
 
 The source is C99, built once and kept (`equations/compiler.py`). Without a compiler, or with `TAU_DYN_COMPILE=0`, `loop.py` steps
 all trials at once in numpy; both agree to rounding.
@@ -622,27 +622,9 @@ def run_compiled(
                 return 1
 
         settle = _SETTLE(call)
-    sizes = np.array(
-        [
-            n,
-            na,
-            c,
-            s,
-            k,
-            often,
-            *flags,
-            motion,
-            every,
-            matrices.shape[2],
-            window,
-            sweeps,
-            min(COMMANDS.index(waves.told), 2),
-            max(1, -(-waves.profile_steps // often)),
-            waves.apart is not None,
-            chosen,
-        ],
-        dtype=np.int64,
-    )
+    told, finer = min(COMMANDS.index(waves.told), 2), max(1, -(-waves.profile_steps // often))
+    numbers = (n, na, c, s, k, often, *flags, motion, every, matrices.shape[2], window, sweeps, told, finer)
+    sizes = np.array([*numbers, waves.apart is not None, chosen], dtype=np.int64)
     passing = np.any(entries[NAMES.index("steps_pass")]) and waves.told == COMMANDS[0]
     steps = waves.steps if passing else np.zeros(waves.command.shape)
     inputs = [waves.dt, waves.start, waves.speed, *(np.moveaxis(x, 0, -1) for x in (waves.command, steps)), along, load]
